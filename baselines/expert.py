@@ -1,0 +1,128 @@
+"""The paper's controller: gradient descent of V(lambda2) (3), (5) with (12), (13), and repulsion (Sec. III-D).
+
+Decentralised and memoryless: one observation in, one action out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from baselines.policy import Policy
+from fovconn_env.kernel.geometry import tilt
+from fovconn_env.kernel.jit import entry, kernel
+from fovconn_env.kernel.kinematic import saturate
+from fovconn_env.kernel.weights import weight_gradient
+from fovconn_env.scenarios import Scenario
+from fovconn_env.settings import check_numbers, rule
+
+GAINS = np.dtype((np.record, [(name, "f8") for name in "k_v clamp k_obs d_min_obs d_max_obs closest".split()]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gains:
+    """What the paper leaves open (paper-notes 3)."""
+
+    k_v: float = 0.05  # gain of V
+    clamp: float = 0.02  # lambda2_hat is kept this far above lambda2_min, where V has its asymptote
+    k_obs: float = 0.05  # m/s, gain of the repulsion
+    d_min_obs: float = 1.0  # m, its asymptote (Table I)
+    d_max_obs: float = 3.5  # m, where it ends (Table I)
+    closest: float = 1.02  # m, distances are kept above this
+
+    def __post_init__(self) -> None:
+        check_numbers(self, above="k_v clamp k_obs d_min_obs d_max_obs closest")
+        ordered = self.d_min_obs < self.closest < self.d_max_obs
+        hint = "the repulsion grows from d_max_obs down to its asymptote at d_min_obs"
+        rule(ordered, "Gains.closest", "between d_min_obs and d_max_obs", self.closest, hint)
+
+
+class Expert(Policy):
+    """The paper's connectivity-maintenance controller with collision avoidance, saturated as a sum."""
+
+    def __init__(self, scenario: Scenario, gains: Gains | None = None) -> None:
+        super().__init__(scenario)
+        self.gains = gains or Gains()
+        self._params = scenario.params()
+        self._gains = np.zeros(1, GAINS)
+        for name in GAINS.names or ():
+            self._gains[name] = getattr(self.gains, name)
+
+    def decide(self, flat: np.ndarray) -> np.ndarray:
+        """Actions (R, 4) for flat observations (R, D)."""
+        actions = np.empty((len(flat), 4), np.float32)
+        control(*self.rows(flat), self._params, self._gains, actions)
+        return actions
+
+
+@kernel
+def potential_slope(lambda2, p, g):
+    """dV/dlambda2 of V = k_v (lambda2_max - lambda2)^2 / (lambda2 - lambda2_min), 0 from lambda2_max on (Fig. 2)."""
+    low, high = p.lambda2_min, p.lambda2_max
+    at = max(lambda2, low + g.clamp)
+    if at >= high:
+        return 0.0
+    return -g.k_v * (high - at) * (high + at - 2.0 * low) / (at - low) ** 2
+
+
+@kernel
+def maintain(own, neighbors, p, g):
+    """Velocity and yaw rate that raise lambda2 (5), before saturation: m/s and rad/s, yaw frame."""
+    vx = vy = vz = yaw_rate = 0.0
+    slope = potential_slope(float(own.lambda2_hat), p, g)
+    oix, oiy, oiz = tilt(p.axis_x, p.axis_y, p.axis_z, float(own.roll), float(own.pitch))
+    for j in range(neighbors.shape[0]):
+        row = neighbors[j]
+        blind = row.f_ij == 0.0
+        if row.present == 0.0 or (blind and row.yaw_valid == 0.0):
+            continue  # without a yaw, a robot that is only seen cannot tell which way to go
+        ax, ay, az = tilt(p.axis_x, p.axis_y, p.axis_z, float(row.roll), float(row.pitch))
+        c, s = float(row.cos_yaw), float(row.sin_yaw)
+        ojx, ojy = c * ax - s * ay, s * ax + c * ay  # iR_j o_C
+        bx, by, bz, distance = float(row.bearing_x), float(row.bearing_y), float(row.bearing_z), float(row.distance)
+        gradient = weight_gradient(bx, by, bz, distance, oix, oiy, oiz, ojx, ojy, az, p.weight, p)  # (12), (13)
+        gx, gy, gz, g_yaw = gradient
+        difference = float(own.v2_hat) - float(row.v2_hat)
+        scale = -slope * difference * difference
+        vx, vy, vz = vx + scale * gx, vy + scale * gy, vz + scale * gz  # (5)
+        yaw_rate += scale * g_yaw
+    return vx, vy, vz, yaw_rate
+
+
+@kernel
+def repel(ranges, g):
+    """Repulsion from all range points (Sec. III-D), m/s, yaw frame."""
+    vx = vy = vz = 0.0
+    for k in range(ranges.shape[0]):
+        row = ranges[k]
+        if row.present == 0.0:
+            break
+        x, y, z = float(row.x), float(row.y), float(row.z)
+        distance = math.sqrt(x * x + y * y + z * z)
+        if distance >= g.d_max_obs:
+            continue
+        d = max(distance, g.closest)
+        speed = g.k_obs * ((g.d_max_obs - d) / (d - g.d_min_obs)) ** 2  # asymptote at d_min_obs, flat at d_max_obs
+        scale = -speed / max(distance, 1e-6)
+        vx, vy, vz = vx + scale * x, vy + scale * y, vz + scale * z
+    return vx, vy, vz
+
+
+@entry
+def control(own, neighbors, ranges, params, gains, actions):
+    """Fill actions (R, 4) from the record rows own (R,), neighbors (R, M) and ranges (R, K)."""
+    p, g = params[0], gains[0]
+    top = p.speed_limit + p.stick_speed
+    for r in range(own.shape[0]):
+        me = own[r]
+        sx, sy, sz = float(me.stick_x), float(me.stick_y), float(me.stick_z)
+        cx, cy, cz, yaw_rate = maintain(me, neighbors[r], p, g)
+        ox, oy, oz = repel(ranges[r], g)
+        # of the sum: the operator cannot outvote a part of it
+        vx, vy, vz = saturate(cx + ox + sx, cy + oy + sy, cz + oz + sz, p.speed_limit)
+        actions[r, 0] = (vx - sx) / top  # the environment adds the stick again
+        actions[r, 1] = (vy - sy) / top
+        actions[r, 2] = (vz - sz) / top
+        actions[r, 3] = min(max(yaw_rate / p.yaw_rate_limit, -1.0), 1.0)

@@ -1,0 +1,57 @@
+"""What every policy has in common."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from fovconn_env.layout import Rows, rows
+from fovconn_env.scenarios import Scenario
+
+Observation = Mapping[str, np.ndarray] | np.ndarray
+
+
+class Policy(ABC):
+    """Maps observations of one scenario's robots to actions; every robot runs the same one, each for itself.
+
+    A subclass fills in `decide`. What it may use is the observation alone: a policy that sees the truth says so with
+    `oracle = True`.
+    """
+
+    oracle = False
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+
+    @abstractmethod
+    def decide(self, flat: np.ndarray) -> np.ndarray:
+        """Actions (R, 4) for flat observations (R, D) float32, one row a robot; rows do not know of each other."""
+
+    def reset(self, mask: np.ndarray | None = None) -> None:
+        """Forget the robots in `mask`; a policy without memory has nothing to do."""
+
+    def act(self, observation: Observation) -> np.ndarray:
+        """Actions, float32 shares in [-1, 1], for one observation, (4,), or for a stack of them, (..., 4).
+
+        An observation is the environment's dict or its flat form; a stack has leading axes.
+        """
+        if isinstance(observation, Mapping):
+            observation = np.concatenate([observation[key] for key in ("self", "neighbors", "ranges")], axis=-1)
+        flat = np.ascontiguousarray(observation, np.float32)
+        actions = self.decide(flat.reshape(-1, flat.shape[-1]))
+        return actions.reshape(*flat.shape[:-1], 4)
+
+    def rows(self, flat: np.ndarray) -> Rows:
+        """Record views of flat observations: `rows.own.vx`, `rows.neighbors.f_ij`, ... (see fovconn_env.layout)."""
+        return rows(flat, self.scenario.max_neighbors, self.scenario.max_ranges)
+
+
+def scenario_of(env: Any) -> Scenario:
+    """The scenario of an environment, a simulator or a scenario itself."""
+    found = env if isinstance(env, Scenario) else getattr(getattr(env, "unwrapped", env), "scenario", None)
+    if not isinstance(found, Scenario):
+        raise TypeError(f"env must be a fovconn environment, a Simulator or a Scenario, got {env!r}")
+    return found

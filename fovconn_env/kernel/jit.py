@@ -1,0 +1,56 @@
+"""The two decorators of compiled code, and a cache that notices an edit in any kernel file.
+
+`kernel` marks a function called from compiled code, `entry` one called from Python. With `NUMBA_DISABLE_JIT=1` both
+leave plain Python behind.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from typing import ParamSpec, TypeVar, cast
+
+import numba
+import numpy as np
+import platformdirs
+from numba.core import config
+
+P = ParamSpec("P")
+R = TypeVar("R")
+_SOURCES = sorted(Path(__file__).parent.glob("*.py"))
+
+
+def kernel(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a function that only compiled code calls."""
+    return cast("Callable[P, R]", numba.njit(function, fastmath=False))
+
+
+def entry(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a function that Python calls: cached on disk, without the GIL, so that threads can share the worlds."""
+    if config.DISABLE_JIT:
+
+        @functools.wraps(function)
+        def plain(*args: P.args, **kwargs: P.kwargs) -> R:
+            with np.errstate(over="ignore"):  # the counter hash wraps around on purpose
+                return function(*args, **kwargs)
+
+        return plain
+    # numba looks only at the file of the function itself: a folder named by the hash of every kernel source makes
+    # an edit elsewhere visible. The folder is read while decorating, so the user's own setting is put back.
+    before, config.CACHE_DIR = config.CACHE_DIR, str(_cache_folder(Path(inspect.getfile(function))))
+    try:
+        return cast("Callable[P, R]", numba.njit(function, fastmath=False, cache=True, nogil=True))
+    finally:
+        config.CACHE_DIR = before
+
+
+def _cache_folder(source: Path) -> Path:
+    root = Path(config.CACHE_DIR) if config.CACHE_DIR else Path(platformdirs.user_cache_dir("fovconn_env"))
+    layout = Path(__file__).parents[1] / "layout.py"
+    digest = hashlib.sha256()
+    for file in (*_SOURCES, layout, source):
+        digest.update(file.read_bytes())
+    return root / digest.hexdigest()[:16]

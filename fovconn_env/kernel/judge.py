@@ -1,0 +1,131 @@
+"""The judge: true weights, how an episode ends, reward terms and infos. Nothing here reaches a robot."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fovconn_env.kernel.jit import kernel
+from fovconn_env.kernel.spectrum import fiedler
+from fovconn_env.kernel.steer import NOBODY
+from fovconn_env.kernel.weights import range_weight, sight_weight
+
+RANGE, OWN_VIEW, ITS_VIEW, OCCLUSION = range(1, 5)  # layout.LOST_LINK
+
+
+@kernel
+def weigh(pairs, infos, p):
+    """True f*_ij (10) and A_ij (6), (11) of all pairs; the cause of each lost link goes to infos. Returns the links."""
+    n, n_edges = pairs.shape[0], 0
+    for i in range(n):
+        infos[i].lost_link_cause = 0.0
+    for i in range(n):
+        for j in range(i + 1, n):
+            ij, ji = pairs[i, j], pairs[j, i]
+            before, watched_by_i, watched_by_j = ij.weight, ij.watch > 0.0, ji.watch > 0.0
+            ij.watch = sight_weight(ij.cosine, p) if ij.seen else 0.0
+            ji.watch = sight_weight(ji.cosine, p) if ji.seen else 0.0
+            view = ij.watch + ji.watch - ij.watch * ji.watch  # (11): the judge's weight, whatever runs on board
+            ij.weight = ji.weight = range_weight(ij.distance, p) * view if view > 0.0 else 0.0  # (6)
+            if ij.weight > 0.0:
+                n_edges += 1
+            elif before > 0.0:
+                if not p.d_min < ij.distance < p.d_max:
+                    infos[i].lost_link_cause = infos[j].lost_link_cause = RANGE
+                elif ij.blocked:
+                    infos[i].lost_link_cause = infos[j].lost_link_cause = OCCLUSION
+                else:
+                    infos[i].lost_link_cause = OWN_VIEW if watched_by_i else ITS_VIEW
+                    infos[j].lost_link_cause = OWN_VIEW if watched_by_j else ITS_VIEW
+    return n_edges
+
+
+@kernel
+def connectivity(pairs, v2):
+    """True lambda2 of the weights `weigh` has set; v2 (N,) gets the unit eigenvector."""
+    n = pairs.shape[0]
+    weights = np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            weights[i, j] = pairs[i, j].weight
+    return fiedler(weights, v2)
+
+
+@kernel
+def end(episode, arrived, p):
+    """Decide whether the episode is over, from the true lambda2 and the collisions noted on the way."""
+    dt, connected = p.step_time, episode.lambda2 > p.lambda2_min
+    episode.split = 0.0 if connected else episode.split + dt
+    if p.leader == NOBODY:
+        episode.held = episode.held + dt if episode.lambda2 >= p.goal_lambda2 else 0.0
+        episode.success = episode.held >= p.goal_hold - 1e-9
+    else:
+        episode.success = arrived
+    episode.disconnected = episode.split > p.patience
+    episode.success = episode.success and connected and not episode.collision
+    episode.terminated = episode.collision or episode.disconnected or episode.success
+    episode.truncated = episode.step >= episode.max_steps and not episode.terminated
+    episode.over = episode.terminated or episode.truncated
+
+
+@kernel
+def reward(bodies, infos, rewards, range_rows, actions, episode, stick_x, stick_y, stick_z, p):
+    """Named reward terms of every robot and their sum. Running terms are rates times the step, stick: last step's."""
+    lead, dt = bodies[p.leader_index], p.step_time
+    margin = (episode.lambda2 - p.lambda2_min) / (p.lambda2_max - p.lambda2_min)
+    along = lead.vx * stick_x + lead.vy * stick_y + lead.vz * stick_z
+    pushed = stick_x * stick_x + stick_y * stick_y + stick_z * stick_z
+    episode.pushed += dt * pushed
+    episode.travelled += dt * along
+    for i in range(bodies.shape[0]):
+        info, effort = infos[i], 0.0
+        for k in range(4):
+            share = min(max(actions[i, k], -1.0), 1.0)
+            effort += share * share
+        info.reward_connectivity = p.reward_connectivity * dt * min(max(margin, 0.0), 1.0)
+        info.reward_progress = p.reward_progress * dt * along / (p.stick_speed * p.stick_speed) if pushed > 0.0 else 0.0
+        info.reward_proximity = -p.reward_proximity * dt * crowding(range_rows[i], p)
+        info.reward_effort = -p.reward_effort * dt * effort
+        info.reward_success = p.reward_success if episode.success else 0.0
+        info.reward_collision = -p.reward_collision if episode.collision else 0.0
+        info.reward_disconnected = -p.reward_disconnected if episode.disconnected else 0.0
+        running = info.reward_connectivity + info.reward_progress + info.reward_proximity + info.reward_effort
+        rewards[i] = running + info.reward_success + info.reward_collision + info.reward_disconnected
+
+
+@kernel
+def crowding(rows, p):
+    """How much closer than `near` the nearest range point is, squared, 0 to 1."""
+    row = rows[0]
+    if row.present == 0.0:
+        return 0.0
+    x, y, z = float(row.x), float(row.y), float(row.z)
+    distance = math.sqrt(x * x + y * y + z * z)
+    return max(1.0 - distance / p.reward_near, 0.0) ** 2
+
+
+@kernel
+def tell(bodies, tracks, beliefs, infos, episode, p):
+    """Fill the infos that are not reward terms, link causes, bytes or rows."""
+    n = bodies.shape[0]
+    for i in range(n):
+        info = infos[i]
+        info.lambda2, info.lambda2_hat = episode.lambda2, beliefs[i].lambda2_hat
+        info.connected = 1.0 if episode.lambda2 > p.lambda2_min else 0.0
+        info.n_edges = episode.n_edges
+        info.min_distance, info.clearance = bodies[i].nearest, min(bodies[i].clearance, 1e3)
+        info.yaw_error = 0.0
+        for j in range(n):
+            if j != i and tracks[i, j].present and tracks[i, j].valid:
+                info.yaw_error = max(info.yaw_error, abs(yaw_error(bodies[i], bodies[j], tracks[i, j])))
+        info.success = 1.0 if episode.success else 0.0
+        info.collision = 1.0 if episode.collision else 0.0
+        info.disconnected = 1.0 if episode.disconnected else 0.0
+
+
+@kernel
+def yaw_error(a, b, track):
+    """Estimated minus true relative yaw of b seen from a, rad in (-pi, pi]."""
+    c, s = a.cos_yaw * b.cos_yaw + a.sin_yaw * b.sin_yaw, a.cos_yaw * b.sin_yaw - a.sin_yaw * b.cos_yaw
+    return math.atan2(track.sin_used * c - track.cos_used * s, track.cos_used * c + track.sin_used * s)

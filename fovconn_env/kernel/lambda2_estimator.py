@@ -1,0 +1,81 @@
+"""lambda2 and v2, estimated on board by power iteration over PI consensus: paper-notes 5, after [9] of the paper.
+
+Yang et al., Automatica 2010 (power iteration); Freeman, Yang and Lynch, CDC 2006 (PI consensus). Both ends of a link
+use the values both of them sent in the same round, so that what one adds the other takes away.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fovconn_env.kernel.jit import kernel
+from fovconn_env.kernel.weights import view_weight
+
+POWER, TRUE, NONE = range(3)  # scenarios.SWITCHES["lambda2"]
+
+
+@kernel
+def awaken(belief, x):
+    """Start robot i's estimator from a random entry x of the eigenvector; x = 0 for all would stay 0."""
+    belief.x = belief.y1 = x
+    belief.y2 = x * x
+    belief.y3 = belief.q1 = belief.q2 = belief.q3 = belief.degree = 0.0
+    belief.lambda2_hat = belief.v2_hat = 0.0
+
+
+@kernel
+def agreed_weight(said, heard, p):
+    """A_ij (6) from what i said to j and j said to i in the same round; the same bits at both ends."""
+    seers = said.seen + heard.seen
+    if seers == 0.0:
+        return 0.0
+    gamma = (said.gamma + heard.gamma) / seers  # case 2 of Sec. III-C: only one of them measures
+    return gamma * view_weight(said.f, heard.f, p.weight)
+
+
+@kernel
+def agree(tracks, said, heard, p):
+    """Bring robot i's link weights up to date: said[j] are its own messages, heard[j] the ones that met them."""
+    for j in range(tracks.shape[0]):
+        if heard[j].fresh:
+            tracks[j].weight = agreed_weight(said[j], heard[j], p)
+        elif heard[j].age >= p.memory:
+            tracks[j].weight = 0.0
+
+
+@kernel
+def power_round(belief, tracks, said, heard, p):
+    """One message round of robot i; all arguments are its own slices, as in `agree`."""
+    lx = m1 = m2 = m3 = n1 = n2 = n3 = degree = 0.0
+    n = heard.shape[0]
+    for j in range(n):
+        if not heard[j].fresh:
+            continue
+        s, h = said[j], heard[j]
+        w = 1.0 / (1.0 + max(s.degree, h.degree))  # Metropolis weight
+        degree += 1.0
+        lx += tracks[j].weight * (s.x - h.x)  # (L x)_i
+        m1, m2, m3 = m1 + w * (s.y1 - h.y1), m2 + w * (s.y2 - h.y2), m3 + w * (s.y3 - h.y3)  # (M y)_i
+        n1, n2, n3 = n1 + w * (s.q1 - h.q1), n2 + w * (s.q2 - h.q2), n3 + w * (s.q3 - h.q3)  # (M q)_i
+    x = belief.x
+    belief.degree = degree
+    belief.y1 += p.power_g * (x - belief.y1) - p.power_kp * m1 + p.power_ki * n1  # mean of x
+    belief.y2 += p.power_g * (x * x - belief.y2) - p.power_kp * m2 + p.power_ki * n2  # mean of x^2
+    belief.y3 += p.power_g * (x * lx - belief.y3) - p.power_kp * m3 + p.power_ki * n3  # mean of x (L x)
+    belief.q1 -= p.power_ki * m1
+    belief.q2 -= p.power_ki * m2
+    belief.q3 -= p.power_ki * m3
+    dt, excess = p.round_time, belief.y2 - 1.0
+    x_next = (x - dt * (p.power_k1 * belief.y1 + p.power_k2 * lx)) / (1.0 + dt * p.power_k3 * max(excess, 0.0))
+    belief.x = x_next - dt * p.power_k3 * min(excess, 0.0) * x
+    size = max(belief.y2, 1e-6)
+    belief.lambda2_hat = min(max(belief.y3 / size, 0.0), float(n))  # Rayleigh quotient
+    belief.v2_hat = belief.x / math.sqrt(n * size)
+
+
+@kernel
+def know(belief, lambda2, v2, n):
+    """Oracle: put the true lambda2 and v2 into robot i's belief, in the form its messages carry."""
+    belief.x = v2 * math.sqrt(n)
+    belief.y2, belief.y3 = 1.0, lambda2
+    belief.lambda2_hat, belief.v2_hat = lambda2, v2

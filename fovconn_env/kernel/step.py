@@ -1,0 +1,202 @@
+"""One step of the environment: move > look > sense > talk > estimate > judge > observe, world by world.
+
+`run` lists the stages; a stage loops over the robots of one world. Functions that run on board get robot i's own
+slices and nothing else.
+"""
+
+from __future__ import annotations
+
+from fovconn_env.kernel import lambda2_estimator, random, yaw_estimator
+from fovconn_env.kernel.camera import feel, look, see
+from fovconn_env.kernel.geometry import clearance
+from fovconn_env.kernel.jit import entry, kernel
+from fovconn_env.kernel.judge import connectivity, end, reward, tell, weigh
+from fovconn_env.kernel.kinematic import command, glide, stand
+from fovconn_env.kernel.lambda2_estimator import agree, awaken, know, power_round
+from fovconn_env.kernel.observe import clip, observe_neighbors, observe_self
+from fovconn_env.kernel.quadrotor import fly, hover
+from fovconn_env.kernel.radio import exchange, speak, transmit
+from fovconn_env.kernel.rangefinder import scan
+from fovconn_env.kernel.steer import steer
+from fovconn_env.kernel.yaw_estimator import attend, estimate_yaw
+
+ADVANCE, BEGIN = range(2)
+KINEMATIC, QUADROTOR = range(2)  # scenarios.SWITCHES["dynamics"]
+
+
+@entry
+def run(task, state, world, params, actions, mask, warm_ticks, first, last):
+    """ADVANCE the worlds first..last-1 by a step of actions (B, N, 4), or BEGIN an episode in the masked (B,) ones.
+
+    Worlds whose episode is over do not advance. Before BEGIN the caller clears a world's records and sets pose (x, y,
+    z, yaw), key and max_steps; the estimators then warm up for `warm_ticks`, bodies held, the clock at 0. One entry
+    for both, because each entry compiles everything below it.
+    """
+    for b in range(first, last):
+        episode, p = state.episode[b], params[b]
+        if (task == BEGIN and not mask[b]) or (task == ADVANCE and episode.over):
+            continue
+        bodies, flights, pairs, infos = state.body[b], state.flight[b], state.pair[b], state.info[b]
+        own, sights, inboxes = state.own[b], state.sight[b], state.inbox[b]
+        tracks, beliefs, v2 = state.track[b], state.belief[b], state.fiedler[b]
+        piece, vertex = world.piece[b], world.vertex[b]
+        stick_x, stick_y, stick_z = episode.stick_x, episode.stick_y, episode.stick_z
+        ticks = p.ticks if task == ADVANCE else warm_ticks
+        if task == ADVANCE:
+            obey(bodies, actions[b], stick_x, stick_y, stick_z, p)
+        else:
+            start(bodies, flights, inboxes, tracks, beliefs, episode.key, p)
+        for i in range(infos.shape[0]):
+            infos[i].bytes_sent = 0.0
+
+        for tick in range(ticks):
+            if task == ADVANCE:
+                move(bodies, flights, episode, p)
+            look(bodies, pairs, piece, vertex, p)
+            touch(bodies, piece, vertex, episode, p)
+            if tick == ticks - 1:
+                episode.n_edges = weigh(pairs, infos, p)
+                episode.lambda2 = connectivity(pairs, v2)
+                if p.lambda2 == lambda2_estimator.TRUE:
+                    reveal_lambda2(beliefs, episode.lambda2, v2)
+            sense(bodies, pairs, own, sights, tracks, episode, p)
+            for _ in range(p.rounds):
+                mail = state.mail[b, episode.round % state.mail.shape[1]]
+                exchange(mail, inboxes, p)
+                estimate_lambda2(beliefs, tracks, mail, inboxes, p)
+                write(mail, own, tracks, beliefs)
+                transmit(mail, pairs, infos, episode.key, episode.round, p)
+                episode.round += 1
+            orient(tracks, sights, own, inboxes, p)
+            if p.relative_yaw != yaw_estimator.ESTIMATED:
+                override_yaw(bodies, tracks, p)
+
+        if task == ADVANCE:
+            episode.step += 1
+        arrived = steer(bodies[p.leader_index], world.waypoint[b], world.n_waypoints[b], episode, p)
+        observe(bodies, own, tracks, inboxes, beliefs, state.own_row[b], state.neighbor_row[b], infos, episode, p)
+        measure(bodies, piece, vertex, state.range_row[b], episode, p)
+        clip(state.flat[b], world.low, world.high)
+        if task == ADVANCE:
+            end(episode, arrived, p)
+            reward(bodies, infos, state.reward[b], state.range_row[b], actions[b], episode, stick_x, stick_y, stick_z, p)
+        tell(bodies, tracks, beliefs, infos, episode, p)
+
+
+@kernel
+def start(bodies, flights, inboxes, tracks, beliefs, key, p):
+    """Robots stand or hover where they are; estimators know nothing yet."""
+    n = bodies.shape[0]
+    for i in range(n):
+        if p.dynamics == QUADROTOR:
+            hover(bodies[i], flights[i], p)
+        else:
+            stand(bodies[i], p)
+        awaken(beliefs[i], 2.0 * random.uniform(random.draw(key, 0, i, random.START)) - 1.0)
+        for j in range(n):
+            inboxes[i, j].age = p.memory
+            tracks[i, j].cos_yaw = tracks[i, j].cos_used = 1.0
+
+
+@kernel
+def obey(bodies, actions, stick_x, stick_y, stick_z, p):
+    """Turn actions (N, 4) into commands; the stick (m/s, leader's yaw frame) is added to the leader's."""
+    for i in range(bodies.shape[0]):
+        pull = 1.0 if i == p.leader_index else 0.0
+        command(bodies[i], actions[i], pull * stick_x, pull * stick_y, pull * stick_z, p)
+
+
+@kernel
+def move(bodies, flights, episode, p):
+    """Move every robot by one tick along its command."""
+    for i in range(bodies.shape[0]):
+        if p.dynamics == QUADROTOR:
+            fly(bodies[i], flights[i], p, episode.key, episode.round, i)
+        else:
+            glide(bodies[i], p)
+
+
+@kernel
+def touch(bodies, piece, vertex, episode, p):
+    """Note collisions between robots and with obstacles."""
+    for i in range(bodies.shape[0]):
+        body = bodies[i]
+        body.clearance = clearance(body.x, body.y, body.z, piece, vertex)
+        if body.nearest < p.collision_robot or body.clearance < p.collision_obstacle:
+            episode.collision = True
+
+
+@kernel
+def sense(bodies, pairs, own, sights, tracks, episode, p):
+    """Odometry, IMU and camera of every robot."""
+    n = bodies.shape[0]
+    for i in range(n):
+        feel(bodies[i], own[i], i, episode.key, episode.round, p)
+    for i in range(n):
+        see(bodies, pairs, own[i], sights[i], i, episode.key, episode.round, p)
+        for j in range(n):
+            if j != i:
+                attend(tracks[i, j], sights[i, j], own[i], p)
+
+
+@kernel
+def estimate_lambda2(beliefs, tracks, mail, inboxes, p):
+    """On board of every robot: link weights, and one round of the power iteration."""
+    for i in range(beliefs.shape[0]):
+        agree(tracks[i], mail[i], inboxes[i], p)
+        if p.lambda2 == lambda2_estimator.POWER:
+            power_round(beliefs[i], tracks[i], mail[i], inboxes[i], p)
+
+
+@kernel
+def write(mail, own, tracks, beliefs):
+    """Every robot writes its messages."""
+    for i in range(beliefs.shape[0]):
+        speak(mail[i], own[i], tracks[i], beliefs[i])
+
+
+@kernel
+def orient(tracks, sights, own, inboxes, p):
+    """On board of every robot: relative yaw of every other."""
+    n = own.shape[0]
+    for i in range(n):
+        for j in range(n):
+            if j != i:
+                estimate_yaw(tracks[i, j], sights[i, j], own[i], inboxes[i, j], p)
+
+
+@kernel
+def reveal_lambda2(beliefs, lambda2, v2):
+    """Switch lambda2 = "true": an oracle puts the truth into every robot's belief."""
+    for i in range(beliefs.shape[0]):
+        know(beliefs[i], lambda2, v2[i], v2.shape[0])
+
+
+@kernel
+def override_yaw(bodies, tracks, p):
+    """Switch relative_yaw: "true" puts the truth in the estimate's place (an oracle), "none" leaves no estimate."""
+    n = bodies.shape[0]
+    for i in range(n):
+        for j in range(n):
+            a, b, track = bodies[i], bodies[j], tracks[i, j]
+            track.valid = track.present and p.relative_yaw == yaw_estimator.TRUE
+            track.cos_yaw, track.sin_yaw = 1.0, 0.0
+            if p.relative_yaw == yaw_estimator.TRUE:
+                track.cos_yaw = a.cos_yaw * b.cos_yaw + a.sin_yaw * b.sin_yaw
+                track.sin_yaw = a.cos_yaw * b.sin_yaw - a.sin_yaw * b.cos_yaw
+            track.cos_used, track.sin_used = track.cos_yaw, track.sin_yaw
+
+
+@kernel
+def observe(bodies, own, tracks, inboxes, beliefs, own_rows, neighbor_rows, infos, episode, p):
+    """Write what every robot has on board into its observation."""
+    for i in range(bodies.shape[0]):
+        observe_self(own_rows[i], own[i], beliefs[i], i == p.leader_index, episode)
+        infos[i].neighbors_dropped = observe_neighbors(neighbor_rows[i], tracks[i], inboxes[i], beliefs[i], p)
+
+
+@kernel
+def measure(bodies, piece, vertex, range_rows, episode, p):
+    """Write every robot's range points into its observation."""
+    for i in range(bodies.shape[0]):
+        scan(bodies, i, piece, vertex, range_rows[i], episode.key, episode.round, p)

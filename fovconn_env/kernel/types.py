@@ -1,0 +1,192 @@
+"""What the kernels read and write: records of plain numbers, gathered in arrays over worlds, robots and pairs.
+
+Sizes: B worlds, N robots, M neighbour rows, K range rows, L rounds a message travels, P obstacle pieces, V vertices,
+W way points. No record depends on a size, so one compilation serves every team. SI units and radians throughout;
+"yaw frame" is a robot's own frame turned by its heading alone, x forward, z up.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fovconn_env.layout import INFO, MESSAGE, REWARDS, record
+
+Fields = list[tuple[str, str]]
+
+
+def _record(fields: Fields) -> np.dtype:
+    return np.dtype((np.record, fields), align=True)
+
+
+def _numbers(names: str) -> Fields:
+    return [(name, "f8") for name in names.split()]
+
+
+# ---------------------------------------------------------------------------------------------------- settings
+# Filled by Scenario.params(): each name is a field of one of the settings classes in scenarios.py, where unit and
+# meaning stand; only the names marked "derived" are computed there.
+PARAMS = _record(
+    [
+        ("tick", "f8"),  # s
+        ("ticks", "i8"),  # per step
+        ("rounds", "i8"),  # per tick
+        ("round_time", "f8"),  # s, derived: tick / rounds
+        ("step_time", "f8"),  # s, derived: tick * ticks
+        # switches: index of the chosen word in scenarios.SWITCHES, derived
+        *((name, "i8") for name in "dynamics weight lambda2 relative_yaw link leader".split()),
+        ("leader_index", "i8"),
+        *_numbers("speed_limit yaw_rate_limit stick_speed"),
+        *_numbers("d_min D1 D2 d_max a_min a_max axis_x axis_y axis_z miss coast"),
+        ("occlusion", "b1"),
+        *_numbers("range_max"),
+        *_numbers("loss memory"),
+        *_numbers("yaw_k1 yaw_k2 yaw_k3 yaw_v_min yaw_v_max yaw_hold"),
+        ("yaw_product", "b1"),
+        ("yaw_lag_free", "b1"),
+        *_numbers("power_k1 power_k2 power_k3 power_g power_kp power_ki"),
+        *_numbers("position_noise position_bias velocity_noise velocity_bias gyro_noise gyro_bias"),
+        *_numbers("attitude_noise attitude_bias range_noise range_bias"),
+        *_numbers("lambda2_min lambda2_max patience collision_robot collision_obstacle"),
+        *_numbers("settle pause goal_radius goal_lambda2 goal_hold"),
+        *_numbers("mass inertia_xy inertia_z arm thrust_gain drag_ratio rotor_min rotor_max rotor_lag substep"),
+        *_numbers("kp kv kq_tilt kq_yaw kw_tilt kw_yaw max_accel max_jerk max_tilt"),
+        *_numbers("rotor_noise force_noise force_time"),
+        *_numbers(" ".join(f"reward_{name}" for name in REWARDS)),
+        *_numbers("reward_near"),
+    ]
+)
+
+# --------------------------------------------------------------------------------------- fixed for an episode
+PIECE = _record(
+    [
+        ("first", "i8"),  # index of its first vertex
+        ("count", "i8"),  # vertices of its convex core: 1 circle, 2 thick segment, 3 and more polygon; 0 unused
+        ("radius", "f8"),  # m, rounding added around the core
+        ("low", "f8"),  # m, height interval
+        ("high", "f8"),  # m
+        ("source", "i8"),  # pieces of one decomposed outline share it; sources count up without gaps
+    ]
+)
+
+
+class World(NamedTuple):
+    """What does not change in an episode. World frame."""
+
+    piece: np.ndarray  # (B, P) PIECE, used pieces first, pieces of one source side by side
+    vertex: np.ndarray  # (B, V, 2) m, corners of the cores, counter-clockwise
+    waypoint: np.ndarray  # (B, W, 3) m
+    n_waypoints: np.ndarray  # (B,) int64
+    low: np.ndarray  # (D,) float32, bounds of a flat observation
+    high: np.ndarray  # (D,)
+
+
+# ------------------------------------------------------------------------------------------- the truth: bodies
+BODY = _record(
+    [
+        *_numbers("x y z yaw"),  # world frame
+        *_numbers("cos_yaw sin_yaw"),
+        *_numbers("vx vy vz yaw_rate"),  # yaw frame, actual
+        *_numbers("roll pitch"),
+        *_numbers("ox oy oz"),  # optical axis in the yaw frame, tilted
+        *_numbers("command_vx command_vy command_vz command_yaw_rate"),  # yaw frame, saturated
+        *_numbers("nearest"),  # m, least distance of centres to another robot at this tick
+        *_numbers("clearance"),  # m, least distance to an obstacle at this tick
+    ]
+)
+# Rigid body, rotors and flight controller of the quadrotor model. World frame unless said.
+FLIGHT = _record(
+    [
+        *_numbers("qw qx qy qz"),  # attitude, body to world
+        *_numbers("vx vy vz"),
+        *_numbers("wx wy wz"),  # body rates, body frame
+        *_numbers("rotor0 rotor1 rotor2 rotor3"),  # rotor speeds, in the rotor's own unit
+        *_numbers("ex ey ez"),  # m, position reference minus position
+        *_numbers("rx ry rz"),  # m/s, velocity reference
+        *_numbers("ax ay az"),  # m/s^2, acceleration reference
+        *_numbers("yaw_reference"),  # rad, relative to the heading: reference minus yaw
+        *_numbers("fx fy fz"),  # N, slow random force, yaw frame
+    ]
+)
+PAIR = _record(
+    [
+        *_numbers("distance"),
+        *_numbers("cosine"),  # a_ij: between i's optical axis and the direction of j
+        ("blocked", "b1"),  # an obstacle stands in the line of sight
+        ("seen", "b1"),  # i's camera can see j now
+        ("linked", "b1"),  # messages pass now
+        ("weight", "f8"),  # true A_ij at the end of the step
+        ("watch", "f8"),  # true f*_ij at the end of the step
+    ]
+)
+
+# ------------------------------------------------------------------------------------------ sensors and messages
+OWN = _record(_numbers("vx vy vz yaw_rate roll pitch"))  # odometry and IMU of one robot, yaw frame
+SIGHT = _record([("seen", "b1"), *_numbers("x y z")])  # camera of i about j: p_ij (2), yaw frame, de-tilted
+MAIL = _record([("sent", "b1"), ("arrives", "b1"), *((name, "f8") for name in record(MESSAGE, "f8").names or ())])
+INBOX = _record([("fresh", "b1"), ("age", "f8"), *((name, "f8") for name in record(MESSAGE, "f8").names or ())])
+
+# ------------------------------------------------------------------------------------------------------ on board
+TRACK = _record(  # what i keeps about j
+    [
+        ("present", "b1"),  # i sees j, or j says that it sees i
+        *_numbers("x y z"),  # m, last measured p_ij
+        *_numbers("distance"),  # m, measured by whoever sees
+        *_numbers("f gamma"),  # f*_ij (10) and gamma (9) of it; zero while not seen
+        *_numbers("weight"),  # agreed A_ij (6)
+        ("held", "b1"),  # seen now, or missed for less than `coast`
+        *_numbers("unseen"),  # s since the last sight
+        ("tracking", "b1"),  # the observer below runs
+        *_numbers("since lapse"),  # s since it was acquired, s since its last correction
+        *_numbers("lx ly"),  # m, p_ij at that correction, carried along with i's own motion
+        *_numbers("ex ey"),  # m/s, e (16)
+        *_numbers("qx qy"),  # m/s, v_j filtered alike, j's yaw frame (lag-free option)
+        *_numbers("cos_yaw sin_yaw"),  # own estimate, state of (19)
+        *_numbers("cos_used sin_used"),  # after averaging with j's in mutual view
+        ("valid", "b1"),
+    ]
+)
+BELIEF = _record(_numbers("x y1 y2 y3 q1 q2 q3 degree lambda2_hat v2_hat"))  # lambda2 and v2 estimator of one robot
+
+# ------------------------------------------------------------------------------------------------- the episode
+EPISODE = _record(
+    [
+        ("key", "u8"),  # of this episode's noise
+        ("round", "i8"),  # message rounds since reset, warm-up included: the noise counter
+        ("step", "i8"),  # steps since the warm-up
+        ("max_steps", "i8"),
+        *_numbers("stick_x stick_y stick_z"),  # operator's velocity in the next step, leader's yaw frame
+        ("waypoint", "i8"),  # the one being flown to
+        *_numbers("wait"),  # s left of a pause
+        *_numbers("held"),  # s the goal has been held
+        *_numbers("split"),  # s since the team was split
+        *_numbers("lambda2"),  # true, end of the step
+        ("n_edges", "i8"),
+        *_numbers("pushed travelled"),  # integrals of |stick|^2 and of v . stick
+        *[(name, "b1") for name in "over terminated truncated success collision disconnected".split()],
+    ]
+)
+TALLY = record(INFO, "f8")
+
+
+class State(NamedTuple):
+    """What a step rewrites. The first three are the truth; sensors and messages carry it to the on-board records."""
+
+    body: np.ndarray  # (B, N) BODY
+    flight: np.ndarray  # (B, N) FLIGHT
+    pair: np.ndarray  # (B, N, N) PAIR
+    own: np.ndarray  # (B, N) OWN
+    sight: np.ndarray  # (B, N, N) SIGHT
+    mail: np.ndarray  # (B, L, N, N) MAIL, on the air: [slot, sender, receiver]
+    inbox: np.ndarray  # (B, N, N) INBOX: [receiver, sender]
+    track: np.ndarray  # (B, N, N) TRACK
+    belief: np.ndarray  # (B, N) BELIEF
+    episode: np.ndarray  # (B,) EPISODE
+    fiedler: np.ndarray  # (B, N) true v2, end of the step
+    info: np.ndarray  # (B, N) TALLY
+    reward: np.ndarray  # (B, N) float64
+    flat: np.ndarray  # (B, N, D) float32, the observations; the three below are views into it
+    own_row: np.ndarray  # (B, N) SELF rows
+    neighbor_row: np.ndarray  # (B, N, M) NEIGHBOR rows
+    range_row: np.ndarray  # (B, N, K) RANGE rows

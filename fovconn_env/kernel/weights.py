@@ -1,0 +1,93 @@
+"""Link weights (6)-(11) and their gradient (12), (13). Plain numbers, yaw frame of robot i.
+
+`o_i` and `o_j` are the optical axes, both in i's yaw frame: without tilt o_i is the constant o_C of the paper and
+o_j = iR_j o_C.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fovconn_env.kernel.jit import kernel
+
+UNION, PRODUCT, OMNI = range(3)  # scenarios.SWITCHES["weight"]
+
+
+@kernel
+def rise(x, low, high):
+    """Rising activation w_1^0 (7): 0 up to `low`, 1 from `high`."""
+    if x <= low:
+        return 0.0
+    if x >= high:
+        return 1.0
+    return 0.5 * (1.0 - math.cos(math.pi * (x - low) / (high - low)))  # (7)
+
+
+@kernel
+def rise_slope(x, low, high):
+    """Derivative of (7) with respect to x."""
+    if x <= low or x >= high:
+        return 0.0
+    a = math.pi / (high - low)
+    return 0.5 * a * math.sin(a * (x - low))
+
+
+@kernel
+def range_weight(distance, p):
+    """gamma_ij (9): w_1^0 rises over d_min..D1, w_0^1 = 1 - w_1^0 falls over D2..d_max (8). distance in m."""
+    return rise(distance, p.d_min, p.D1) * (1.0 - rise(distance, p.D2, p.d_max))  # (9)
+
+
+@kernel
+def range_slope(distance, p):
+    """Derivative of gamma_ij (9) with respect to the distance, 1/m."""
+    rising, falling = rise(distance, p.d_min, p.D1), 1.0 - rise(distance, p.D2, p.d_max)
+    return rise_slope(distance, p.d_min, p.D1) * falling - rising * rise_slope(distance, p.D2, p.d_max)
+
+
+@kernel
+def sight_weight(cosine, p):
+    """f*_ij (10) from a_ij, the cosine of the angle between optical axis and bearing."""
+    return rise(cosine, p.a_min, p.a_max)  # (10)
+
+
+@kernel
+def view_weight(f_ij, f_ji, kind):
+    """f_ij of a link from both directions: union (11), product ("both must look") or omnidirectional."""
+    if kind == UNION:
+        return f_ij + f_ji - f_ij * f_ji  # (11)
+    if kind == PRODUCT:
+        return f_ij * f_ji
+    return 1.0
+
+
+@kernel
+def view_slope(f_ji, kind):
+    """Derivative of `view_weight` with respect to its first argument."""
+    if kind == UNION:
+        return 1.0 - f_ji
+    if kind == PRODUCT:
+        return f_ji
+    return 0.0
+
+
+@kernel
+def weight_gradient(bx, by, bz, distance, oix, oiy, oiz, ojx, ojy, ojz, kind, p):
+    """Gradient of A_ij with respect to robot i's motion: (R_i^T dA_ij/dp_i, dA_ij/dyaw_i), in 1/m and 1/rad.
+
+    b: bearing of j; o_i, o_j: optical axes; all unit, i's yaw frame. distance in m. Since
+    b_ji = -(iR_j)^T b_ij, the paper's iR_j P_ji o_C equals P_ij o_j, and a_ji = -o_j . b_ij.
+    """
+    a_ij = oix * bx + oiy * by + oiz * bz
+    a_ji = -(ojx * bx + ojy * by + ojz * bz)
+    f_ij, f_ji = sight_weight(a_ij, p), sight_weight(a_ji, p)
+    gamma = range_weight(distance, p)
+    radial = -view_weight(f_ij, f_ji, kind) * range_slope(distance, p)  # first term of (12)
+    turn_i = gamma * view_slope(f_ji, kind) * rise_slope(a_ij, p.a_min, p.a_max)
+    turn_j = gamma * view_slope(f_ij, kind) * rise_slope(a_ji, p.a_min, p.a_max)
+    # P_ij o = o - (o . b) b; note that o_j . b = -a_ji
+    gx = radial * bx + (-turn_i * (oix - a_ij * bx) + turn_j * (ojx + a_ji * bx)) / distance  # (12)
+    gy = radial * by + (-turn_i * (oiy - a_ij * by) + turn_j * (ojy + a_ji * by)) / distance
+    gz = radial * bz + (-turn_i * (oiz - a_ij * bz) + turn_j * (ojz + a_ji * bz)) / distance
+    g_yaw = -turn_i * (oiy * bx - oix * by)  # (13): o_C^T S b with S b = z x b
+    return gx, gy, gz, g_yaw

@@ -1,0 +1,136 @@
+"""Relative yaw of a neighbour, estimated on board of robot i: (15)-(21). Yaw frames, SI units.
+
+The estimate is kept as cosine and sine; turning it by an angle needs no atan2 and no wrapping.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fovconn_env.kernel.geometry import tilt
+from fovconn_env.kernel.jit import kernel
+from fovconn_env.kernel.weights import range_weight, rise, sight_weight
+
+ESTIMATED, TRUE, NONE = range(3)  # scenarios.SWITCHES["relative_yaw"]
+LEVEL = 0.1  # a line of sight steeper than this horizontal share tells nothing about yaw
+
+
+@kernel
+def turned(c, s, angle):
+    """(cos, sin) turned by a small angle (Cayley: exact unit length, angle to its third power / 12)."""
+    t = 0.5 * angle
+    scale = 1.0 / (1.0 + t * t)
+    cos_turn, sin_turn = (1.0 - t * t) * scale, 2.0 * t * scale
+    return c * cos_turn - s * sin_turn, s * cos_turn + c * sin_turn
+
+
+@kernel
+def attend(track, sight, own, p):
+    """Take over what the camera says about one robot: position, f*_ij (10) and gamma_ij (9) of it.
+
+    A robot that was missed counts as still held for `coast` seconds, with its last values.
+    """
+    track.unseen = 0.0 if sight.seen else min(track.unseen + p.tick, 1e3)
+    track.held = sight.seen or (track.held and track.unseen <= p.coast)
+    if not track.held:
+        track.f = track.gamma = 0.0
+    if not sight.seen:
+        return
+    x, y, z = sight.x, sight.y, sight.z
+    distance = max(math.sqrt(x * x + y * y + z * z), 1e-9)
+    ox, oy, oz = p.axis_x, p.axis_y, p.axis_z
+    if own.roll != 0.0 or own.pitch != 0.0:
+        ox, oy, oz = tilt(ox, oy, oz, own.roll, own.pitch)
+    track.x, track.y, track.z, track.distance = x, y, z, distance
+    track.f = sight_weight((ox * x + oy * y + oz * z) / distance, p)
+    track.gamma = range_weight(distance, p)
+
+
+@kernel
+def estimate_yaw(track, sight, own, heard, p):
+    """One tick of the estimator of yaw_ij. All arguments are robot i's: its record of j, sight, odometry, inbox."""
+    told = heard.age < p.memory  # j's last message still counts
+    watched = told and heard.seen > 0.0
+    track.present = track.held or watched
+    if not track.held:
+        if watched:
+            track.distance = math.sqrt(heard.px * heard.px + heard.py * heard.py + heard.pz * heard.pz)
+        track.tracking = False
+        track.valid = watched and heard.yaw_valid > 0.0
+        if track.valid:  # yellow phase of Fig. 7: j measures and i takes yaw_ij = -yaw_ji; white: hold the last value
+            track.cos_yaw, track.sin_yaw = heard.cos_yaw, -heard.sin_yaw
+        track.cos_used, track.sin_used = track.cos_yaw, track.sin_yaw
+        return
+    _observe(track, sight, own, heard, p)
+    level, cos_direct, sin_direct = _direct(track, heard)
+    mutual = watched and level and sight.seen
+
+    # yaw_hat: the angle about the vertical between e (16) and v_j, or v_j filtered alike
+    ux, uy = (track.qx, track.qy) if p.yaw_lag_free else (heard.vx, heard.vy)
+    cos_hat, sin_hat = ux * track.ex + uy * track.ey, ux * track.ey - uy * track.ex
+    norm = math.sqrt(cos_hat * cos_hat + sin_hat * sin_hat)
+    gain = 0.0
+    if told and sight.seen and track.since >= p.yaw_hold and norm > 1e-9:
+        gain = rise(math.sqrt(ux * ux + uy * uy), p.yaw_v_min, p.yaw_v_max)  # horizontal: a vertical velocity carries no yaw
+
+    if not track.valid and mutual:
+        track.cos_yaw, track.sin_yaw, track.valid = cos_direct, sin_direct, True
+    elif not track.valid and gain >= 1.0:  # the first reliable value, at once
+        track.cos_yaw, track.sin_yaw, track.valid = cos_hat / norm, sin_hat / norm, True
+    else:
+        c, s = track.cos_yaw, track.sin_yaw
+        share = (track.f * heard.f if p.yaw_product else 1.0) if mutual else 0.0  # paper: product; here an indicator
+        rate = heard.yaw_rate - own.yaw_rate  # (19), odometry
+        rate += p.yaw_k3 * share * (sin_direct * c - cos_direct * s)  # (20): k3 sin(yaw_ij - estimate)
+        if gain > 0.0:
+            rate += p.yaw_k2 * gain * (1.0 - share) * (sin_hat * c - cos_hat * s) / norm  # (21)
+        track.cos_yaw, track.sin_yaw = turned(c, s, p.tick * rate)
+
+    track.cos_used, track.sin_used = track.cos_yaw, track.sin_yaw
+    if mutual and track.valid and heard.yaw_valid > 0.0:  # average on the circle of yaw_ij and -yaw_ji
+        c, s = track.cos_yaw + heard.cos_yaw, track.sin_yaw - heard.sin_yaw
+        length = math.sqrt(c * c + s * s)
+        if length > 1e-3:
+            track.cos_used, track.sin_used = c / length, s / length
+
+
+@kernel
+def _observe(track, sight, own, heard, p):
+    """Disturbance observer (15), (16) in the form (17): e follows iR_j v_j, the motion that i's own does not explain.
+
+    Exact over a tick of constant velocities. The vertical part tells nothing about yaw and is left out. The lag-free
+    form keeps e and q, v_j filtered alike, free of the two robots' own turning, so that e = iR_j q at all times.
+    """
+    if not track.tracking:
+        track.tracking, track.since, track.lapse = True, 0.0, 0.0
+        track.lx, track.ly = sight.x, sight.y
+        track.ex = track.ey = track.qx = track.qy = 0.0
+        return
+    track.since += p.tick
+    track.lapse += p.tick
+    # where j would be now, had only i moved
+    mx, my = turned(own.vx, own.vy, -0.5 * own.yaw_rate * p.tick)
+    track.lx, track.ly = turned(track.lx, track.ly, -own.yaw_rate * p.tick)
+    track.lx, track.ly = track.lx - p.tick * mx, track.ly - p.tick * my
+    if p.yaw_lag_free:
+        track.ex, track.ey = turned(track.ex, track.ey, -own.yaw_rate * p.tick)
+        track.qx, track.qy = turned(track.qx, track.qy, -heard.yaw_rate * p.tick)
+    if not sight.seen:
+        return
+    gain = min(p.yaw_k1 * track.lapse, 1.0)
+    track.ex += gain * ((sight.x - track.lx) / track.lapse - track.ex)  # (14), (17)
+    track.ey += gain * ((sight.y - track.ly) / track.lapse - track.ey)
+    ux, uy = turned(heard.vx, heard.vy, -0.5 * heard.yaw_rate * track.lapse)
+    track.qx, track.qy = track.qx + gain * (ux - track.qx), track.qy + gain * (uy - track.qy)
+    track.lx, track.ly, track.lapse = sight.x, sight.y, 0.0
+
+
+@kernel
+def _direct(track, heard):
+    """yaw_ij from both bearings in mutual view: (does it tell, cosine, sine). Needs a line of sight that is not steep."""
+    ax, ay = track.x, track.y
+    bx, by = -heard.px, -heard.py
+    a, b = math.sqrt(ax * ax + ay * ay), math.sqrt(bx * bx + by * by)
+    if min(a, b) <= LEVEL * track.distance:
+        return False, 1.0, 0.0
+    return True, (ax * bx + ay * by) / (a * b), (ay * bx - ax * by) / (a * b)

@@ -1,0 +1,258 @@
+"""The groups of settings a scenario is made of: frozen, keyword-only, checked once. SI units, radians.
+
+The names are the kernels' (`kernel/types.py`, PARAMS). Defaults are the paper's Table I where it gives them and
+docs/decisions.md where it does not.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+
+def rule(holds: bool, field: str, says: str, value: object, hint: str) -> None:
+    """Raise the `ValueError` of a broken rule: field, rule, value, hint."""
+    if not holds:
+        raise ValueError(f"{field} must be {says}, got {value!r}: {hint}")
+
+
+def check_numbers(group: Any, *, above: str = "", at_least: str = "", share: str = "") -> None:
+    """Check the named fields of a settings group: `above` 0, `at_least` 0, or a `share` in [0, 1]; all finite."""
+    kinds = {**dict.fromkeys(above.split(), 0), **dict.fromkeys(at_least.split(), 1), **dict.fromkeys(share.split(), 2)}
+    for field in dataclasses.fields(group):
+        value, name = getattr(group, field.name), f"{type(group).__name__}.{field.name}"
+        kind = kinds.get(field.name)
+        if kind is None:
+            continue
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if not (number and not math.isnan(value)):
+            raise TypeError(f"{name} must be a number, got {value!r}: check the setting's type")
+        rule(kind != 0 or value > 0, name, "above 0", value, "a size, rate or gain that is zero switches physics off")
+        rule(kind != 1 or value >= 0, name, "at least 0", value, "0 switches it off")
+        rule(kind != 2 or 0 <= value <= 1, name, "in [0, 1]", value, "it is a share of all messages or sights")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clock:
+    """Time: a tick of sensing and estimation, ticks of held action in a step, message rounds in a tick."""
+
+    tick: float = 0.01  # s
+    ticks: int = 5
+    rounds: int = 2
+
+    def __post_init__(self) -> None:
+        check_numbers(self, above="tick ticks rounds")
+        rule(self.tick <= 0.05, "Clock.tick", "at most 0.05", self.tick, "the estimators diverge above (seconds)")
+        for name in ("ticks", "rounds"):
+            rule(isinstance(getattr(self, name), int), f"Clock.{name}", "a whole number", getattr(self, name), "a count")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera:
+    """Camera and link weights (6)-(11): who is seen, and what a link is worth. Table I."""
+
+    d_min: float = 1.0  # m, gamma (9) rises from here
+    D1: float = 3.0  # m, to here
+    D2: float = 7.0  # m, and falls from here
+    d_max: float = 9.0  # m, to here
+    a_min: float = 0.4  # cosine at the edge of the field of view, f* (10) rises from here
+    a_max: float = 0.95  # to here
+    optical_axis: tuple[float, float, float] = (1.0, 1.0, 0.0)  # o_C, body frame, any length
+    occlusion: bool = False  # obstacles block the sight
+    miss: float = 0.0  # share of sights missed, each tick and pair by itself
+    coast: float = 0.0  # s a missed robot still counts as seen
+
+    def __post_init__(self) -> None:
+        check_numbers(self, above="d_min D1 D2 d_max", at_least="coast", share="miss")
+        for low, high in (("d_min", "D1"), ("D1", "D2"), ("D2", "d_max")):
+            a, b = getattr(self, low), getattr(self, high)
+            hint = "the range weight (9) rises over d_min..D1 and falls over D2..d_max"
+            rule(a < b, f"Camera.{low}", f"below {high} ({b:g})", a, hint)
+        hint = "both are cosines, a wider view has the smaller one"
+        rule(self.a_min < self.a_max, "Camera.a_min", f"below a_max ({self.a_max:g})", self.a_min, hint)
+        rule(-1 <= self.a_min, "Camera.a_min", "at least -1", self.a_min, hint)
+        rule(self.a_max <= 1, "Camera.a_max", "at most 1", self.a_max, hint)
+        axis = self.optical_axis
+        fine = len(axis) == 3 and all(math.isfinite(a) for a in axis) and math.hypot(*axis) > 0
+        rule(fine, "Camera.optical_axis", "three finite numbers, not all 0", axis, "a direction in the body frame")
+
+    @property
+    def unit_axis(self) -> tuple[float, float, float]:
+        """The optical axis o_C as a unit vector, body frame."""
+        length = math.hypot(*self.optical_axis)
+        x, y, z = (a / length for a in self.optical_axis)
+        return x, y, z
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rangefinder:
+    """Distance sensor: all directions, anonymous."""
+
+    range_max: float = 3.5  # m, Table I: d_max_obs, where the repulsion ends
+
+    def __post_init__(self) -> None:
+        check_numbers(self, above="range_max")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Radio:
+    """Messages between linked robots."""
+
+    loss: float = 0.0  # share of messages lost, each by itself
+    delay: int = 1  # rounds from writing to delivery, at least 1
+    memory: float = 0.05  # s after which a neighbour that stays silent is dropped
+
+    def __post_init__(self) -> None:
+        check_numbers(self, above="memory delay", share="loss")
+        whole = isinstance(self.delay, int)
+        rule(whole, "Radio.delay", "a whole number of rounds", self.delay, "a message arrives in a later round")
+
+
+@dataclass(frozen=True, kw_only=True)
+class YawEstimator:
+    """Relative yaw estimator (15)-(21): gains of Table I, thresholds of paper-notes."""
+
+    k1: float = 10.0  # 1/s, observer (15)
+    k2: float = 10.0  # 1/s, one-way correction (21)
+    k3: float = 10.0  # 1/s, mutual correction (20)
+    v_min: float = 0.05  # m/s, k2 rises from here
+    v_max: float = 0.2  # m/s, to here
+    hold: float = 0.3  # s after a robot came into sight in which k2 waits: 3 / k1
+    product: bool = False  # mutual view as f*_ij f*_ji, as printed in (19), instead of yes or no
+    lag_free: bool = False  # compare e with v_j filtered alike instead of v_j
+
+    def __post_init__(self) -> None:
+        check_numbers(self, above="k1 k2 k3 v_max", at_least="v_min hold")
+        hint = "the one-way gain (21) rises between them"
+        rule(self.v_min < self.v_max, "YawEstimator.v_min", f"below v_max ({self.v_max:g})", self.v_min, hint)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PowerIteration:
+    """lambda2 and v2 estimator: gains of the power iteration and of its PI consensus, per message round."""
+
+    k1: float = 30.0  # 1/s, removes the mean
+    k2: float = 8.0  # 1/s, Laplacian step
+    k3: float = 80.0  # 1/s, keeps the norm
+    g: float = 0.1  # consensus: pull to the own input
+    kp: float = 1.0  # proportional
+    ki: float = 0.8  # integral
+
+    def __post_init__(self) -> None:
+        check_numbers(self, above="k1 k2 k3 g kp ki")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noise:
+    """Sensor noise (redrawn each tick) and bias (drawn once an episode), standard deviations; 0 in the paper."""
+
+    position_noise: float = 0.0  # m, camera
+    position_bias: float = 0.0  # m
+    velocity_noise: float = 0.0  # m/s, own velocity
+    velocity_bias: float = 0.0  # m/s
+    gyro_noise: float = 0.0  # rad/s, own yaw rate
+    gyro_bias: float = 0.0  # rad/s
+    attitude_noise: float = 0.0  # rad, own roll and pitch
+    attitude_bias: float = 0.0  # rad
+    range_noise: float = 0.0  # m, distance sensor
+    range_bias: float = 0.0  # m
+
+    def __post_init__(self) -> None:
+        check_numbers(self, at_least=" ".join(field.name for field in dataclasses.fields(self)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """Where an episode begins: poses drawn in a box until the team is connected as asked."""
+
+    box: tuple[float, float, float] = (9.0, 9.0, 3.0)  # m, for six robots; its area grows with their number
+    spacing: float = 1.5  # m, least distance of centres
+    clearance: float = 1.5  # m, least distance to an obstacle
+    lambda2_low: float = 0.15
+    lambda2_high: float = math.inf
+
+    def __post_init__(self) -> None:
+        check_numbers(self, above="spacing lambda2_high", at_least="clearance lambda2_low")
+        fine = len(self.box) == 3 and all(side > 0 and math.isfinite(side) for side in self.box)
+        rule(fine, "Start.box", "three positive sides", self.box, "metres")
+        hint = "starts are drawn until lambda2 lies between them"
+        rule(self.lambda2_low < self.lambda2_high, "Start.lambda2_low", "below lambda2_high", self.lambda2_low, hint)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Course:
+    """The leader's way points, or the connectivity to reach where there is no leader."""
+
+    settle: float = 5.0  # s before the operator moves
+    legs: int = 3
+    leg: float = 8.0  # m
+    turn_low: float = math.radians(30)  # rad, between legs
+    turn_high: float = math.radians(90)
+    climb: float = 0.1  # rise of a leg as a share of its length, at most
+    pause: float = 3.0  # s at each way point but the last
+    goal_radius: float = 0.5  # m
+    goal_lambda2: float = 1.0  # without a leader: the lambda2 to reach
+    goal_hold: float = 5.0  # s, and to hold
+
+    def __post_init__(self) -> None:
+        check_numbers(self, above="legs leg goal_radius goal_lambda2", at_least="settle turn_low climb pause goal_hold")
+        rule(isinstance(self.legs, int), "Course.legs", "a whole number", self.legs, "a count")
+        hint = "turns are drawn between them (radians)"
+        rule(self.turn_low <= self.turn_high, "Course.turn_low", "at most turn_high", self.turn_low, hint)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Airframe:
+    """Quadrotor: rigid body, rotors and flight controller (paper-notes 6; Lee, Leok, McClamroch, CDC 2010)."""
+
+    mass: float = 1.28  # kg
+    inertia_xy: float = 0.0229  # kg m^2
+    inertia_z: float = 0.0221  # kg m^2
+    arm: float = 0.23  # m
+    thrust_gain: float = 6.5e-4  # N per squared rotor unit
+    drag_ratio: float = 0.0154  # m, reaction torque / thrust
+    rotor_min: float = 16.0  # rotor units; hover is about 69.5
+    rotor_max: float = 100.0
+    rotor_lag: float = 0.02  # s
+    substep: float = 0.002  # s, at most
+    kp: float = 4.0  # 1/s^2
+    kv: float = 5.0  # 1/s
+    kq_tilt: float = 8.0  # N m / rad
+    kq_yaw: float = 0.3
+    kw_tilt: float = 0.8  # N m s / rad
+    kw_yaw: float = 0.1
+    max_accel: float = 2.0  # m/s^2, of the velocity reference
+    max_jerk: float = 20.0  # m/s^3
+    max_tilt: float = math.radians(30)  # rad
+    rotor_noise: float = 0.0  # share of the rotor speed, each millisecond
+    force_noise: float = 0.0  # N, slow random force
+    force_time: float = 1.0  # s, its correlation time
+
+    def __post_init__(self) -> None:
+        noise = {"rotor_noise", "force_noise"}
+        names = {field.name for field in dataclasses.fields(self)}
+        check_numbers(self, above=" ".join(names - noise), at_least=" ".join(noise))
+        hint = "rotors turn between them"
+        rule(self.rotor_min < self.rotor_max, "Airframe.rotor_min", "below rotor_max", self.rotor_min, hint)
+        lift = 4 * self.thrust_gain * self.rotor_max**2
+        hint = f"full thrust is {lift:.1f} N; raise rotor_max or thrust_gain"
+        rule(9.81 * self.mass < lift, "Airframe.mass", f"below {lift / 9.81:.2f} kg", self.mass, hint)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reward:
+    """Weights of the reward terms: the first four are rates (per second), the others are paid at the end."""
+
+    connectivity: float = 1.0  # lambda2 between its bounds, 0 to 1
+    progress: float = 1.0  # leader's velocity along the stick, as a share of the stick
+    proximity: float = 1.0  # penalty: (1 - distance / near)^2 of the nearest range point
+    effort: float = 0.02  # penalty: squared action
+    success: float = 50.0
+    collision: float = 50.0  # penalty
+    disconnected: float = 50.0  # penalty
+    near: float = 1.0  # m
+
+    def __post_init__(self) -> None:
+        check_numbers(self, above="near", at_least="connectivity progress proximity effort success collision disconnected")

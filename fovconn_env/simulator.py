@@ -1,0 +1,216 @@
+"""B worlds of one scenario, stepped together by the compiled kernels. Never resets by itself."""
+
+from __future__ import annotations
+
+import os
+import pickle
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from fovconn_env import layout
+from fovconn_env.kernel import step
+from fovconn_env.scenarios import Scenario
+from fovconn_env.world import NO_ACTIONS, NO_MASK, Scout, Start, allocate, place
+
+WORLDS_PER_THREAD = 16  # fewer are not worth a thread
+
+
+class Simulator:
+    """A batch of worlds. Single is a batch of one; the adapters hold one of these and no physics of their own.
+
+    Arrays are the simulator's own and are rewritten by the next call; copy what must stay.
+    """
+
+    def __init__(self, scenario: Scenario, n_worlds: int = 1, *, n_threads: int | None = None) -> None:
+        if n_worlds < 1:
+            raise ValueError(f"n_worlds must be at least 1, got {n_worlds}: a batch holds worlds")
+        self.scenario, self.n_worlds = scenario, n_worlds
+        self.max_cycles = scenario.max_cycles
+        self.params = np.repeat(scenario.params(), n_worlds)
+        self.world, self.state = allocate(scenario, n_worlds, 1, 1)
+        self.state.episode["over"] = True  # until the first reset
+        self._scout = Scout(scenario)
+        self._rngs: list[np.random.Generator] = [np.random.default_rng() for _ in range(n_worlds)]
+        cores = n_threads or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+        self._n_threads = min(cores, max(n_worlds // WORLDS_PER_THREAD, 1))
+        self._pool: tuple[int, ThreadPoolExecutor] | None = None
+        warm = scenario.warmup if scenario.lambda2 == "power" else 0.0
+        self._warm_ticks = max(round(warm / scenario.clock.tick), 2)  # two fill the observation
+
+    # ------------------------------------------------------------------------------------------------ results
+    @property
+    def observations(self) -> np.ndarray:
+        """(B, N, D) float32, one flat observation a robot."""
+        return self.state.flat
+
+    @property
+    def rewards(self) -> np.ndarray:
+        """(B, N) of the last step."""
+        return self.state.reward
+
+    @property
+    def terminated(self) -> np.ndarray:
+        """(B,) bool: the episode ended by success, collision or a split team."""
+        return self.state.episode["terminated"]
+
+    @property
+    def truncated(self) -> np.ndarray:
+        """(B,) bool: the episode ended by time."""
+        return self.state.episode["truncated"]
+
+    @property
+    def over(self) -> np.ndarray:
+        """(B,) bool: needs a reset."""
+        return self.state.episode["over"]
+
+    @property
+    def infos(self) -> np.ndarray:
+        """(B, N) records of `layout.INFO`."""
+        return self.state.info
+
+    def poses(self) -> np.ndarray:
+        """The truth, (B, N, 4) float64: x, y, z, yaw in the world frame."""
+        body = self.state.body
+        return np.stack([body[name] for name in ("x", "y", "z", "yaw")], axis=-1)
+
+    def adjacency(self) -> np.ndarray:
+        """The true weights A_ij (6), (B, N, N) float64; tilted axes and blocked sights count, noise does not."""
+        return self.state.pair["weight"].copy()
+
+    def privileged(self) -> np.ndarray:
+        """(B, S) float32 for centralised critics, in the leader's yaw frame: `layout.STATE` a robot, then STATE_TEAM."""
+        body, episode, lead = self.state.body, self.state.episode, self.scenario.leader_index
+        origin = body[:, lead, None]
+        c, s = origin["cos_yaw"], origin["sin_yaw"]
+
+        def turn(dx: np.ndarray, dy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return c * dx + s * dy, c * dy - s * dx
+
+        x, y = turn(body["x"] - origin["x"], body["y"] - origin["y"])
+        cos_yaw, sin_yaw = turn(body["cos_yaw"], body["sin_yaw"])
+        motion = [body[column.name] for column in layout.STATE[5:-1]]
+        robots = np.stack([x, y, body["z"] - origin["z"], cos_yaw, sin_yaw, *motion, self.state.fiedler], axis=-1)
+        goal = np.zeros((self.n_worlds, 3))
+        for b, (at, count) in enumerate(zip(episode["waypoint"], self.world.n_waypoints, strict=True)):
+            if count:
+                goal[b] = self.world.waypoint[b, min(at, count - 1)]
+            else:
+                goal[b] = [origin[name][b, 0] for name in "xyz"]
+        gx, gy = turn(goal[:, :1] - origin["x"], goal[:, 1:2] - origin["y"])
+        gz = goal[:, 2] - origin["z"][:, 0]
+        stick = [episode[name] for name in ("stick_x", "stick_y", "stick_z")]
+        share = episode["step"] / np.maximum(episode["max_steps"], 1)
+        team = np.stack([episode["lambda2"], *stick, gx[:, 0], gy[:, 0], gz, share], axis=-1)
+        flat = np.concatenate([robots.reshape(self.n_worlds, -1), team], axis=-1).astype(np.float32)
+        return np.clip(flat, *self.privileged_bounds())
+
+    def privileged_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of `privileged`, (S,) float32 each."""
+        scales = self.scenario.scales()
+        robot, team = layout.bounds(layout.STATE, scales), layout.bounds(layout.STATE_TEAM, scales)
+        low, high = (np.concatenate([np.tile(a, self.scenario.n_agents), b]) for a, b in zip(robot, team, strict=True))
+        return low, high
+
+    # ------------------------------------------------------------------------------------------------- actions
+    def reset(
+        self, seed: int | Sequence[int] | None = None, *, mask: np.ndarray | None = None, poses: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Start the masked worlds (all by default) and return the observations, (B, N, D).
+
+        seed: world b gets seed + b, or seed[b]; None goes on with each world's generator. poses: (N, 4) x, y, z, yaw
+        for every masked world. Raises `ValueError`, leaving every world as it was.
+        """
+        chosen = np.ones(self.n_worlds, bool) if mask is None else np.asarray(mask, bool)
+        if chosen.shape != (self.n_worlds,):
+            raise ValueError(f"mask must have the shape ({self.n_worlds},), got {chosen.shape}: one entry a world")
+        seeds = self._seeds(seed)
+        drawn: dict[int, tuple[np.random.Generator, Start, int]] = {}
+        for b in np.flatnonzero(chosen):
+            old = self._rngs[b]
+            rng = np.random.default_rng(seeds[b]) if seeds is not None else np.random.Generator(type(old.bit_generator)())
+            if seeds is None:
+                rng.bit_generator.state = old.bit_generator.state
+            start = self._scout.draw(rng, poses)
+            drawn[b] = rng, start, int(rng.integers(2**63))
+        self._make_room(drawn)
+        for b, (rng, start, key) in drawn.items():
+            self._rngs[b] = rng
+            self._place(b, start, key)
+        self._run(step.BEGIN, NO_ACTIONS, chosen)
+        return self.observations
+
+    def step(self, actions: np.ndarray) -> np.ndarray:
+        """Apply actions (B, N, 4), shares in [-1, 1] (`layout.ACTION`; beyond is clipped), and return observations.
+
+        Worlds whose episode is over stay as they are. Raises `ValueError` for a wrong shape or NaN, naming world and
+        robot, before anything moves.
+        """
+        actions = np.asarray(actions, np.float64)
+        shape = (self.n_worlds, self.scenario.n_agents, 4)
+        if actions.shape != shape:
+            raise ValueError(f"actions must have the shape {shape}, got {actions.shape}: (worlds, robots, vx vy vz yaw_rate)")
+        if not np.isfinite(actions).all():
+            b, i, _ = np.argwhere(~np.isfinite(actions))[0]
+            raise ValueError(
+                f"actions must be finite, got {actions[b, i].tolist()} for uav_{i} of world {b}: did the policy diverge?"
+            )
+        self._run(step.ADVANCE, actions, NO_MASK)
+        return self.observations
+
+    def _seeds(self, seed: int | Sequence[int] | None) -> list[int] | None:
+        if seed is None:
+            return None
+        seeds = [seed + b for b in range(self.n_worlds)] if isinstance(seed, (int, np.integer)) else list(seed)
+        if len(seeds) != self.n_worlds or any(s < 0 for s in seeds):
+            raise ValueError(f"seed must be a number or {self.n_worlds} numbers, none below 0, got {seed!r}: one a world")
+        return [int(s) for s in seeds]
+
+    def _make_room(self, drawn: dict) -> None:
+        """Grow the padded obstacle arrays to what the new starts need."""
+        n_pieces = max([self.world.piece.shape[1], *(len(start.pieces) for _, start, _ in drawn.values())])
+        n_vertices = max([self.world.vertex.shape[1], *(len(start.vertices) for _, start, _ in drawn.values())])
+        if (n_pieces, n_vertices) == (self.world.piece.shape[1], self.world.vertex.shape[1]):
+            return
+        piece = np.zeros((self.n_worlds, n_pieces), self.world.piece.dtype)
+        vertex = np.zeros((self.n_worlds, n_vertices, 2))
+        piece[:, : self.world.piece.shape[1]], vertex[:, : self.world.vertex.shape[1]] = self.world.piece, self.world.vertex
+        self.world = self.world._replace(piece=piece, vertex=vertex)
+
+    def _place(self, b: int, start: Start, key: int) -> None:
+        """Clear the records of world b and put the start into them."""
+        for array in self.state:
+            array[b] = np.zeros((), array.dtype)
+        self.world.piece[b], self.world.vertex[b], self.world.waypoint[b] = np.zeros((), self.world.piece.dtype), 0.0, 0.0
+        self.world.piece[b, : len(start.pieces)], self.world.vertex[b, : len(start.vertices)] = start.pieces, start.vertices
+        self.world.waypoint[b, : len(start.waypoints)] = start.waypoints
+        self.world.n_waypoints[b] = len(start.waypoints)
+        place(self.state.body[b], start.poses)
+        self.state.episode["key"][b] = key
+        self.state.episode["max_steps"][b] = self.max_cycles
+
+    def _run(self, task: int, actions: np.ndarray, mask: np.ndarray) -> None:
+        """Run a task over all worlds, in slices on threads where there are worlds enough."""
+
+        def work(first: int, last: int) -> None:
+            step.run(task, self.state, self.world, self.params, actions, mask, self._warm_ticks, first, last)
+
+        if self._n_threads == 1:
+            work(0, self.n_worlds)
+            return
+        if self._pool is None or self._pool[0] != os.getpid():  # a forked child has no threads of its parent
+            self._pool = os.getpid(), ThreadPoolExecutor(self._n_threads)
+        edges = np.linspace(0, self.n_worlds, self._n_threads + 1).astype(int).tolist()
+        list(self._pool[1].map(work, edges[:-1], edges[1:]))
+
+    def __getstate__(self) -> dict:
+        return {**self.__dict__, "_pool": None}
+
+    def __setstate__(self, attributes: dict) -> None:
+        self.__dict__.update(attributes)
+        views = layout.rows(self.state.flat, self.scenario.max_neighbors, self.scenario.max_ranges)
+        self.state = self.state._replace(own_row=views.own, neighbor_row=views.neighbors, range_row=views.ranges)
+
+    def __deepcopy__(self, memo: dict) -> Simulator:
+        return pickle.loads(pickle.dumps(self))
