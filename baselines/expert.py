@@ -18,7 +18,7 @@ from fovconn_env.kernel.weights import weight_gradient
 from fovconn_env.scenarios import Scenario
 from fovconn_env.settings import check_numbers, rule
 
-GAINS = np.dtype((np.record, [(name, "f8") for name in "k_v clamp k_obs d_min_obs d_max_obs closest".split()]))
+GAINS = np.dtype((np.record, [(name, "f8") for name in "k_v clamp k_obs d_min_obs d_max_obs closest excite".split()]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,9 +31,10 @@ class Gains:
     d_min_obs: float = 1.0  # m, its asymptote (Table I)
     d_max_obs: float = 3.5  # m, where it ends (Table I)
     closest: float = 1.02  # m, distances are kept above this
+    excite: float = 0.15  # m/s, see `excite`; 0 switches it off
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="k_v clamp k_obs d_min_obs d_max_obs closest")
+        check_numbers(self, above="k_v clamp k_obs d_min_obs d_max_obs closest", at_least="excite")
         ordered = self.d_min_obs < self.closest < self.d_max_obs
         hint = "the repulsion grows from d_max_obs down to its asymptote at d_min_obs"
         rule(ordered, "Gains.closest", "between d_min_obs and d_max_obs", self.closest, hint)
@@ -110,6 +111,20 @@ def repel(ranges, g):
     return vx, vy, vz
 
 
+@kernel
+def excite(own, neighbors, g):
+    """Forward velocity (m/s) of a robot that is watched by one it cannot see and does not know the yaw of.
+
+    Beyond the paper: at standstill nothing tells the watcher that yaw, so the two would wait for each other for ever,
+    the operator pulling in vain. A few centimetres of motion make it observable (16), (21).
+    """
+    for j in range(neighbors.shape[0]):
+        row = neighbors[j]
+        if row.present > 0.0 and row.f_ij == 0.0 and row.f_ji > 0.0 and row.yaw_valid == 0.0:
+            return g.excite
+    return 0.0
+
+
 @entry
 def control(own, neighbors, ranges, params, gains, actions):
     """Fill actions (R, 4) from the record rows own (R,), neighbors (R, M) and ranges (R, K)."""
@@ -121,6 +136,7 @@ def control(own, neighbors, ranges, params, gains, actions):
         cx, cy, cz, yaw_rate = maintain(me, neighbors[r], p, g)
         ox, oy, oz = repel(ranges[r], g)
         # of the sum: the operator cannot outvote a part of it
+        cx += excite(me, neighbors[r], g)
         vx, vy, vz = saturate(cx + ox + sx, cy + oy + sy, cz + oz + sz, p.speed_limit)
         actions[r, 0] = (vx - sx) / top  # the environment adds the stick again
         actions[r, 1] = (vy - sy) / top

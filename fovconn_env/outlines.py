@@ -90,13 +90,12 @@ def _best_cut(corners: np.ndarray) -> int:
 
 
 def _first_crossing(corners: np.ndarray) -> tuple[int, int] | None:
-    """Edges (i, j), named by their first corners, that share more than a corner; None for a simple outline."""
+    """Edges (i, j), named by their first corners, that meet without being neighbours; None for a simple outline."""
     n = len(corners)
     ends = np.roll(corners, -1, axis=0)
     touching = _touch(corners[:, None], ends[:, None], corners[None], ends[None])
     apart = (np.arange(n)[None] - np.arange(n)[:, None]) % n
     touching &= (apart > 1) & (apart < n - 1)
-    touching[np.arange(n) - 1, np.arange(n)] = abs(_turns(corners)) > np.pi - _STRAIGHT  # back on itself
     found = np.argwhere(touching)
     return (int(found[0, 0]), int(found[0, 1])) if len(found) else None
 

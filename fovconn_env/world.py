@@ -10,13 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fovconn_env import layout
 from fovconn_env.kernel import step, types
-from fovconn_env.layout import rows
 from fovconn_env.maps import Forest, Map
 from fovconn_env.scenarios import Scenario
 
 MAX_TRIES = 2000  # starts drawn before giving up
 MAX_MAPS = 20  # random maps drawn before giving up
+MARGIN = 3.0  # m, obstacles reach this far beyond starts and way points
 
 
 class Start(NamedTuple):
@@ -41,7 +42,7 @@ def allocate(scenario: Scenario, n_worlds: int, n_pieces: int, n_vertices: int) 
         high=high,
     )
     flat = np.zeros((b, n, scenario.observation_size), np.float32)
-    views = rows(flat, m, k)
+    views = layout.rows(flat, m, k)
     state = types.State(
         body=np.zeros((b, n), types.BODY),
         flight=np.zeros((b, n), types.FLIGHT),
@@ -66,8 +67,6 @@ def allocate(scenario: Scenario, n_worlds: int, n_pieces: int, n_vertices: int) 
 
 def observation_bounds(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
     """Bounds of a flat observation, (D,) float32 each."""
-    from fovconn_env import layout
-
     scales, parts = scenario.scales(), []
     for table, count in ((layout.SELF, 1), (layout.NEIGHBOR, scenario.max_neighbors), (layout.RANGE, scenario.max_ranges)):
         parts.append([np.tile(bound, count) for bound in layout.bounds(table, scales)])
@@ -170,7 +169,9 @@ class Scout:
         forest = self.scenario.map
         if not isinstance(forest, Forest):
             return None
-        return forest.generate(rng, np.vstack([poses[:, :3], waypoints]), self.scenario.start.clearance)
+        places = np.vstack([poses[:, :3], waypoints])
+        low, high = places[:, :2].min(0) - MARGIN, places[:, :2].max(0) + MARGIN
+        return forest.generate(rng, (low[0], high[0], low[1], high[1]), places, self.scenario.start.clearance)
 
     def _start(self, poses: np.ndarray, waypoints: np.ndarray, obstacles: Map | None) -> Start:
         pieces, vertices = obstacles.flatten() if obstacles is not None else NO_OBSTACLES

@@ -19,6 +19,11 @@ SPIRAL = [(0, 0), (5, 0), (5, 5), (1, 5), (1, 2), (3, 2), (3, 3), (2, 3), (2, 4)
 STAIR = [(0, 0), (1, 0), (1, -1), (2, -1), (2, -3), (3, -3), (3, 2), (2, 2), (2, 1), (1, 1), (1, 4), (0, 4)]
 COMB = [(0, 0), (9, 0), *((9 - k / 2, 3 if k % 2 else 1) for k in range(18)), (0, 2)]
 
+# a narrow notch whose nearest corners stand behind another side of the outline: below it, and across the gap above it
+HIDDEN = [(0, -3), (5, -3.2), (12, -3), (12, 2), (5.1, 2), (5, 1), (4.9, 2), (0, 2), (0, 0), (10, 0), (10, -1), (0, -1)]
+ACROSS = [(0, 0), (12, 0), (12, 5), (0, 5), (0, 3), (4, 3), (5, 2.5), (6, 3), (10, 3), (10, 2), (5.1, 2), (5, 1)]
+ACROSS += [(4.9, 2), (0, 2)]
+
 
 def inside_by_even_odd(points, outline):
     """Which points (n, 2) lie in the outline, by counting the edges that a ray to the right crosses."""
@@ -34,6 +39,17 @@ def star(seed):
     rng = np.random.default_rng(seed)
     angles = np.linspace(0, 2 * np.pi, 15, endpoint=False) + rng.uniform(0, 0.3, 15)
     return np.column_stack([np.cos(angles), np.sin(angles)]) * rng.uniform(0.5, 3, (15, 1))
+
+
+def blocks(seed):
+    """A row of 2 to 6 columns of unit blocks, turned if odd: its corners then lie on one line only up to rounding."""
+    rng = np.random.default_rng(seed)
+    n = rng.integers(2, 7)
+    top, bottom = rng.integers(1, 5, n), -rng.integers(0, 4, n)
+    below = [(i + j, bottom[i]) for i in range(n) for j in (0, 1)]
+    above = [(i + j, top[i]) for i in reversed(range(n)) for j in (1, 0)]
+    angle = rng.uniform(0, 6) if seed % 2 else 0.0
+    return np.array(below + above) @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
 
 def same(a, b):
@@ -69,8 +85,11 @@ def test_clearance_combines_plan_and_height():
     np.testing.assert_allclose(found, [-0.5, -0.1, 3, math.hypot(1.5, 48), 0.5, 0.4], atol=1e-12)
 
 
-@pytest.mark.parametrize("outline", [U, SPIRAL, STAIR, COMB, *(star(seed) for seed in range(20))])
 @pytest.mark.parametrize("backwards", [False, True])
+@pytest.mark.parametrize(
+    "outline",
+    [U, SPIRAL, STAIR, COMB, HIDDEN, ACROSS, *map(star, range(20)), *map(blocks, [*range(40), 151, 4577, 5195])],
+)
 def test_concave_outline_covers_the_same_region(outline, backwards):
     outline = np.array(outline, float)
     obstacle = Map().polygon(outline[::-1] if backwards else outline)
@@ -84,8 +103,8 @@ def test_concave_outline_covers_the_same_region(outline, backwards):
     (ax, ay), (bx, by) = outline.T, np.roll(outline, -1, axis=0).T
     assert area == pytest.approx(abs((ax * by - bx * ay).sum()) / 2, rel=1e-12)
 
-    points = np.random.default_rng(0).uniform(outline.min(0) - 1, outline.max(0) + 1, (500, 2))
-    clearance = obstacle.clearance(np.column_stack([points, np.zeros(500)]))
+    points = np.random.default_rng(0).uniform(outline.min(0) - 1, outline.max(0) + 1, (300, 2))
+    clearance = obstacle.clearance(np.column_stack([points, np.zeros(300)]))
     np.testing.assert_array_equal(clearance < 0, inside_by_even_odd(points, outline))
 
 
@@ -215,6 +234,13 @@ def test_forest_leaves_gaps_and_clear_spots(seed):
     assert min(distance_to(clear[:, :2], start, end).min() - radius for start, end, radius in cores) >= 2.0 - 1e-9
     again = forest.generate(np.random.default_rng(seed), (-15, 15, -12, 12), clear, 2.0)
     assert same(found, again)
+
+
+def test_forest_keeps_no_more_than_the_clear_radius_free():
+    forest, rng = Forest(n_pillars=1, pillar_radius=(0.5, 0.5), n_walls=0, gap=3.0), np.random.default_rng(0)
+    assert len(forest.generate(rng, (2.51, 2.51, 0, 0), [(0, 0, 9)], 2.0).flatten()[0]) == 1
+    with pytest.raises(ValueError, match="no room"):
+        forest.generate(rng, (2.49, 2.49, 0, 0), [(0, 0, 9)], 2.0)
 
 
 def test_forest_without_obstacles_or_without_room():

@@ -76,9 +76,20 @@ def given(flight, p, wrenches, commands, results):
 
 
 @entry
-def aimed(body, flight, force, rate, q, omega):
-    u, du = (force[0], force[1], force[2]), (rate[0], rate[1], rate[2])
+def aimed(body, flight, force, jerk, q, omega):
+    u, du = (force[0], force[1], force[2]), (jerk[0], jerk[1], jerk[2])
     q[:], omega[:] = quadrotor.aim(body[0], flight[0], u, du)
+
+
+@entry
+def shaped(body, flight, p, commands, found):
+    """found (n, 6) <- velocity and acceleration reference after each command (n, 3)."""
+    for t in range(len(commands)):
+        b, f = body[0], flight[0]
+        b.command_vx, b.command_vy, b.command_vz = commands[t]
+        quadrotor.shape(b, f, p[0])
+        quadrotor.advance(b, f, p[0])
+        found[t] = f.rx, f.ry, f.rz, f.ax, f.ay, f.az
 
 
 @entry
@@ -194,7 +205,7 @@ def test_open_loop_agrees_with_a_slow_integration_and_converges_with_the_square_
         before, after = coasted(h, command, external, p, seconds)
         errors.append(np.abs(after - slow_body(before, command, external, MODEL | changes, seconds, 300)).max())
     assert errors[1] < 2e-3  # rotor units, m, m/s, rad/s: the largest of all
-    assert errors[0] / errors[2] > 4.0 * 1.5
+    assert errors[0] / errors[2] > 12.0  # 16 for the second order, 4 for the first
 
 
 def test_free_fall_keeps_energy_momentum_and_angular_momentum():
@@ -240,13 +251,13 @@ def test_allocation_gives_what_is_asked_within_the_limits_and_gives_up_yaw_first
 
 def test_aim_points_thrust_along_the_force_keeps_the_heading_and_turns_at_its_own_rate():
     body, flight = start(params(), (0.0, 0.0, 0.0, 2.0))
-    force, rate, w_yaw, dt = np.array([1.5, -2.0, 10.5]), np.array([3.0, 2.0, -4.0]), 0.7, 1e-5
+    force, jerk, w_yaw, dt = np.array([1.5, -2.0, 10.5]), np.array([3.0, 2.0, -4.0]), 0.7, 1e-5
     body[0].command_yaw_rate = w_yaw
     q, omega, unused = np.zeros(4), np.zeros(3), np.zeros(3)
     attitudes = []
     for t in (-dt, 0.0, dt):
         flight[0].yaw_reference = 0.3 + t * w_yaw
-        aimed(body, flight, force + t * rate, rate, q, omega if t == 0.0 else unused)
+        aimed(body, flight, force + t * jerk, jerk, q, omega if t == 0.0 else unused)
         attitudes.append(matrix(q))
     before, now, after = attitudes
     np.testing.assert_allclose(now[:, 2], force / np.linalg.norm(force), atol=1e-12)
@@ -273,6 +284,9 @@ def test_torque_is_that_of_lee():
 
 def test_hover_stays_put():
     pose = (3.0, -2.0, 5.0, 2.5)
+    body, flight = start(params(), pose)
+    assert not np.isnan(list(flight[0])).any()
+    assert not any(np.isnan(body[0][name]) for name in [*SEEN, "cos_yaw", "sin_yaw"])
     bodies, flights = run(hold((0, 0, 0, 0), 5.0), pose)
     for name, value in zip(("x", "y", "z", "yaw"), pose, strict=True):
         np.testing.assert_allclose(bodies[name], value, atol=1e-9)
@@ -309,24 +323,26 @@ def test_yaw_rate_step_is_tracked():
 
 
 def test_reference_keeps_its_limits_and_arrives_without_overshoot():
-    commands = np.concatenate([hold((1.5, 0, 0, 0), 1.5), hold((-0.9, 1.2, 0, 0), 2.5)])
-    _, flights = run(commands, max_accel=2.0)
-    r = np.column_stack([flights[name] for name in ("rx", "ry", "rz")])
-    a = np.column_stack([flights[name] for name in ("ax", "ay", "az")])
-    assert np.linalg.norm(a, axis=1).max() <= 2.0 + 1e-9
+    p = params(max_accel=2.2)
+    body, flight = start(p)
+    commands, found = np.concatenate([hold((1.5, 0, 0), 1.5), hold((-0.9, 1.2, 0), 2.0)]), np.full((350, 6), np.nan)
+    shaped(body, flight, p, commands, found)
+    r, a = found[:, :3], found[:, 3:]
+    assert np.linalg.norm(a, axis=1).max() <= 2.2 + 1e-9
     assert np.linalg.norm(np.diff(a, axis=0), axis=1).max() / MODEL["tick"] <= 10.0 + 1e-9
-    assert np.linalg.norm(r, axis=1).max() <= 1.5 + 1e-3
+    assert np.linalg.norm(r, axis=1).max() <= 1.5 + 5e-3
+    least = 1.5 / 2.2 + 2.2 / 10.0  # s, of a velocity change that reaches max_accel
+    assert np.argmax(r[:, 0] > 1.5 - 5e-3) * MODEL["tick"] <= least
     np.testing.assert_allclose(r[149], [1.5, 0.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(r[-1], [-0.9, 1.2, 0.0], atol=1e-9)
 
 
 @pytest.mark.parametrize("noise", [ROUGH, SHAKEN | ROUGH], ids=["rough", "slow rotors"])
 def test_aggressive_commands_leave_it_upright(noise):
-    bodies, flights = run(flips(60.0), **noise)
-    assert np.degrees(tilt_of(bodies).max()) < 35.0
-    assert max(np.abs(flights[name]).max() for name in ("ex", "ey", "ez")) < 0.5
-    speed = np.sqrt(bodies["vx"] ** 2 + bodies["vy"] ** 2 + bodies["vz"] ** 2)
-    assert speed.max() < 1.9
+    bodies, flights = run(flips(6.0 if config.DISABLE_JIT else 60.0), **noise)
+    assert np.degrees(tilt_of(bodies).max()) < 30.0
+    assert max(np.abs(flights[name]).max() for name in ("ex", "ey", "ez")) < 0.3  # m
+    assert np.sqrt(bodies["vx"] ** 2 + bodies["vy"] ** 2 + bodies["vz"] ** 2).max() < 1.8
 
 
 def test_halving_the_substep_changes_little():
@@ -386,8 +402,10 @@ def test_rotor_noise_is_uniform_and_independent_between_rotors():
 
 
 def test_effect_of_rotor_noise_does_not_depend_on_the_substep():
-    spread = [run(hold((0, 0, 0, 0), 10.0), substep=s, rotor_noise=0.01)[1]["rotor0"].std() for s in (0.005, 0.00125)]
-    np.testing.assert_allclose(spread[0], spread[1], rtol=0.1)
+    if config.DISABLE_JIT:
+        pytest.skip("long statistics")
+    spread = [run(hold((0, 0, 0, 0), 60.0), substep=s, rotor_noise=0.01)[1]["rotor0"].std() for s in (0.005, 0.00125)]
+    np.testing.assert_allclose(spread[0], spread[1], rtol=0.05)
 
 
 def test_random_force_has_its_deviation_and_its_memory():

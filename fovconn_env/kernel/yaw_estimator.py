@@ -75,7 +75,7 @@ def estimate_yaw(track, sight, own, heard, p):
 
     if not track.valid and mutual:
         track.cos_yaw, track.sin_yaw, track.valid = cos_direct, sin_direct, True
-    elif not track.valid and gain >= 1.0:  # the first reliable value, at once
+    elif not track.valid and gain > 0.0:  # the first reliable value, at once
         track.cos_yaw, track.sin_yaw, track.valid = cos_hat / norm, sin_hat / norm, True
     else:
         c, s = track.cos_yaw, track.sin_yaw

@@ -1,0 +1,61 @@
+"""Multi-robot connectivity with cameras that see only what is in front of them, as a PettingZoo environment.
+
+After Bernard, Pacchierotti and Robuffo Giordano, "Decentralized Connectivity Maintenance for Quadrotor UAVs with
+Field of View Constraints". Start with `parallel_env("LeaderFollow-v0")`.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import pettingzoo
+
+from fovconn_env.flight import Flight
+from fovconn_env.maps import Forest, Map
+from fovconn_env.parallel import ParallelEnv, env, parallel_env, raw_env
+from fovconn_env.scenarios import PRESETS, Scenario, scenario
+from fovconn_env.settings import (
+    Airframe,
+    Camera,
+    Clock,
+    Course,
+    Noise,
+    PowerIteration,
+    Radio,
+    Rangefinder,
+    Reward,
+    Start,
+    YawEstimator,
+)
+from fovconn_env.simulator import Simulator
+
+__version__ = "0.1.0"
+__all__ = [
+    "PRESETS",
+    "Airframe",
+    "Camera",
+    "Clock",
+    "Course",
+    "Flight",
+    "Forest",
+    "Map",
+    "Noise",
+    "ParallelEnv",
+    "PowerIteration",
+    "Radio",
+    "Rangefinder",
+    "Reward",
+    "Scenario",
+    "Simulator",
+    "Start",
+    "YawEstimator",
+    "env",
+    "parallel_env",
+    "raw_env",
+    "scenario",
+]
+
+if hasattr(pettingzoo, "register"):  # from PettingZoo 1.27 on
+    for _name in PRESETS:
+        pettingzoo.register("parallel", f"fovconn/{_name}", partial(parallel_env, _name))
+        pettingzoo.register("aec", f"fovconn/{_name}", partial(env, _name))

@@ -1,0 +1,203 @@
+"""PettingZoo: one world, every robot an agent. All agents end together."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pettingzoo
+from gymnasium import spaces
+from pettingzoo.utils import parallel_to_aec, wrappers
+
+from fovconn_env import layout
+from fovconn_env.scenarios import Scenario, scenario
+from fovconn_env.simulator import Simulator
+
+PARTS = ("self", "neighbors", "ranges")
+INFO_KEYS = tuple(column.name for column in layout.INFO)
+
+
+class ParallelEnv(pettingzoo.ParallelEnv):
+    """The environment of one `Scenario` as a PettingZoo parallel environment.
+
+    Observations are a `Dict` of 1-D float32 Boxes "self", "neighbors", "ranges", or with `flat=True` one Box of the
+    same numbers in the same order; actions are `Box(-1, 1, (4,))`. Columns, units and frames: `fovconn_env.layout`.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's own form)
+        "name": "fovconn_v0",
+        "render_modes": ["rgb_array"],
+        "render_fps": 20,
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self,
+        base: str | Scenario = "LeaderFollow-v0",
+        /,
+        *,
+        render_mode: str | None = None,
+        flat: bool = False,
+        **settings: Any,
+    ) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            modes = ", ".join(self.metadata["render_modes"])
+            raise ValueError(f"render_mode must be None or one of {modes}, got {render_mode!r}")
+        self.scenario = scenario(base, **settings)
+        self.render_mode = render_mode
+        self.flat = flat
+        self.simulator = Simulator(self.scenario)
+        self.possible_agents = self.scenario.agents
+        self.agents: list[str] = []
+        self.observation_spaces = {agent: self._observation_space() for agent in self.possible_agents}
+        self.action_spaces = {agent: spaces.Box(-1.0, 1.0, (len(layout.ACTION),)) for agent in self.possible_agents}
+        low, high = self.simulator.privileged_bounds()
+        self.state_space = spaces.Box(low, high)
+        self._picture: Any = None
+
+    @property
+    def max_cycles(self) -> int:
+        """Steps until an episode is truncated; a new value holds from the next reset on."""
+        return self.simulator.max_cycles
+
+    @max_cycles.setter
+    def max_cycles(self, value: int) -> None:
+        if value < 1:
+            raise ValueError(f"max_cycles must be at least 1, got {value}: it counts steps")
+        self.simulator.max_cycles = int(value)
+
+    def observation_space(self, agent: str) -> spaces.Space:
+        """The observation space of an agent, always the same object."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Space:
+        """The action space of an agent, always the same object."""
+        return self.action_spaces[agent]
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict, dict]:
+        """Start an episode: observations and infos by agent.
+
+        options: "poses", (N, 4) x, y, z, yaw (m, rad, world frame), places the robots; other keys are ignored.
+        Raises `ValueError` for poses of a wrong shape or that collide; the episode under way is then untouched.
+        """
+        poses = (options or {}).get("poses")
+        self.simulator.reset(seed, poses=None if poses is None else np.asarray(poses, np.float64))
+        self.agents = list(self.possible_agents)
+        return self._observations(), self._infos()
+
+    def step(self, actions: dict[str, np.ndarray]) -> tuple[dict, dict, dict, dict, dict]:
+        """Apply one action an agent: observations, rewards, terminations, truncations and infos by agent.
+
+        Raises `ValueError` for a missing or unknown agent, a wrong shape or NaN, naming the agent, before anything
+        moves; out of range is clipped. Raises `gymnasium.error.ResetNeeded` before reset and after the end.
+        """
+        if not self.agents:
+            raise gymnasium.error.ResetNeeded("step() needs an episode under way: call reset() first")
+        self.simulator.step(self._gather(actions)[None])
+        agents, episode = self.agents, self.simulator.state.episode[0]
+        rewards = dict(zip(agents, self.simulator.rewards[0].tolist(), strict=True))
+        terminations = dict.fromkeys(agents, bool(episode["terminated"]))
+        truncations = dict.fromkeys(agents, bool(episode["truncated"]))
+        observations, infos = self._observations(), self._infos()
+        if episode["over"]:
+            self.agents = []
+        return observations, rewards, terminations, truncations, infos
+
+    def poses(self) -> np.ndarray:
+        """The truth, (N, 4) float64: x, y, z, yaw of every robot in the world frame."""
+        return self.simulator.poses()[0]
+
+    def adjacency(self) -> np.ndarray:
+        """The true weights A_ij (6), (N, N) float64: tilted axes and blocked sights count, noise does not."""
+        return self.simulator.adjacency()[0]
+
+    def state(self) -> np.ndarray:
+        """The privileged vector for centralised critics, in the leader's yaw frame: layout.STATE and STATE_TEAM."""
+        return self.simulator.privileged()[0]
+
+    def render(self) -> np.ndarray | None:
+        """A picture of the world as it is, (480, 640, 3) uint8, or None without a render mode."""
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() needs a render mode: make the environment with render_mode='rgb_array'")
+            return None
+        if not self.simulator.world.n_waypoints[0] and not self.simulator.state.episode["round"][0]:
+            raise gymnasium.error.ResetNeeded("render() needs an episode under way: call reset() first")
+        if self._picture is None:
+            from fovconn_env.render.picture import Picture
+
+            self._picture = Picture(self.scenario)
+        return self._picture.draw(self.simulator)
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def __deepcopy__(self, memo: dict) -> ParallelEnv:
+        twin = copy.copy(self)
+        twin.__dict__ = {key: copy.deepcopy(value, memo) for key, value in self.__dict__.items() if key != "_picture"}
+        twin._picture = None
+        return twin
+
+    def __getstate__(self) -> dict:
+        return {**self.__dict__, "_picture": None}
+
+    def _gather(self, actions: dict[str, np.ndarray]) -> np.ndarray:
+        """Actions (N, 4) float64, checked."""
+        rows = np.empty((len(self.agents), len(layout.ACTION)))
+        for row, agent in zip(rows, self.agents, strict=True):
+            if agent not in actions:
+                raise ValueError(f"actions must hold every agent, got none for {agent}: all robots act in every step")
+            action = np.asarray(actions[agent])
+            if action.shape != row.shape:
+                raise ValueError(f"action of {agent} must have the shape {row.shape}, got {action.shape}: vx vy vz yaw_rate")
+            row[:] = action
+        if len(actions) > len(self.agents):
+            unknown = next(agent for agent in actions if agent not in self.agents)
+            raise ValueError(f"actions must be for {self.agents[0]} .. {self.agents[-1]}, got one for {unknown!r}")
+        if not np.isfinite(rows).all():
+            agent = self.agents[int(np.argwhere(~np.isfinite(rows))[0, 0])]
+            raise ValueError(f"action of {agent} must be finite, got {actions[agent]!r}: did the policy diverge?")
+        return rows
+
+    def _observations(self) -> dict[str, Any]:
+        flat = self.simulator.observations[0].copy()
+        if self.flat:
+            return dict(zip(self.agents, flat, strict=True))
+        first = len(layout.SELF)
+        second = first + self.scenario.max_neighbors * len(layout.NEIGHBOR)
+        return {
+            agent: {"self": row[:first], "neighbors": row[first:second], "ranges": row[second:]}
+            for agent, row in zip(self.agents, flat, strict=True)
+        }
+
+    def _infos(self) -> dict[str, dict[str, float]]:
+        rows = self.simulator.infos[0].tolist()
+        return {agent: dict(zip(INFO_KEYS, row, strict=True)) for agent, row in zip(self.agents, rows, strict=True)}
+
+    def _observation_space(self) -> spaces.Space:
+        low, high = self.simulator.world.low, self.simulator.world.high
+        if self.flat:
+            return spaces.Box(low, high)
+        first = len(layout.SELF)
+        second = first + self.scenario.max_neighbors * len(layout.NEIGHBOR)
+        slices = (slice(0, first), slice(first, second), slice(second, None))
+        return spaces.Dict({part: spaces.Box(low[cut], high[cut]) for part, cut in zip(PARTS, slices, strict=True)})
+
+
+def parallel_env(base: str | Scenario = "LeaderFollow-v0", /, **settings: Any) -> ParallelEnv:
+    """A PettingZoo parallel environment of a scenario: its id or a `Scenario`, and settings to change.
+
+    Also takes `render_mode` and `flat`. See `Scenario` for the settings and `ParallelEnv` for spaces and errors.
+    """
+    return ParallelEnv(base, **settings)
+
+
+def env(base: str | Scenario = "LeaderFollow-v0", /, **settings: Any) -> pettingzoo.AECEnv:
+    """The same environment as a PettingZoo AEC environment, robots taking turns within a step."""
+    return wrappers.OrderEnforcingWrapper(raw_env(base, **settings))
+
+
+def raw_env(base: str | Scenario = "LeaderFollow-v0", /, **settings: Any) -> pettingzoo.AECEnv:
+    """`env` without the wrapper that enforces the order of calls."""
+    return parallel_to_aec(parallel_env(base, **settings))

@@ -1,0 +1,40 @@
+"""Who sees whom over time: the four classes of Fig. 7, their phases, and when a lost pair meets again."""
+
+from __future__ import annotations
+
+import numpy as np
+
+NOBODY, OWN, OTHERS, MUTUAL = range(4)
+CLASSES = ("nobody sees", "i sees j only", "j sees i only", "mutual sight")
+
+
+def sight_class(f_ij: np.ndarray, f_ji: np.ndarray) -> np.ndarray:
+    """Class of a pair from f*_ij and f*_ji (10), any shape: NOBODY, OWN (i sees j only), OTHERS, MUTUAL (Fig. 7)."""
+    return np.where(np.asarray(f_ij) > 0, OWN, 0) + np.where(np.asarray(f_ji) > 0, OTHERS, 0)
+
+
+def runs(mask: np.ndarray) -> list[tuple[int, int]]:
+    """Half-open index ranges (first, stop) in which `mask` (T,) holds."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], np.asarray(mask, bool), [False]]).astype(np.int8)))
+    return [(int(first), int(stop)) for first, stop in edges.reshape(-1, 2)]
+
+
+def phases(classes: np.ndarray) -> list[tuple[int, int, int]]:
+    """Spans (first, stop, class) of equal class in `classes` (T,), in order and without gaps."""
+    starts = np.flatnonzero(np.diff(classes, prepend=-1))
+    stops = np.append(starts[1:], len(classes))
+    return [(int(a), int(b), int(classes[a])) for a, b in zip(starts, stops, strict=True)]
+
+
+def reacquired(classes: np.ndarray) -> np.ndarray:
+    """Indices at which a phase in which nobody saw the other ends."""
+    return np.flatnonzero((classes[1:] != NOBODY) & (classes[:-1] == NOBODY)) + 1
+
+
+def busiest(classes: np.ndarray, i: int, count: int = 2) -> list[int]:
+    """The robots whose sight from i (classes (T, N, N)) takes most classes, then changes most, in order of number."""
+    mine = classes[:, i]
+    variety = [len(np.unique(mine[:, j])) if j != i else -1 for j in range(mine.shape[1])]
+    changes = (np.diff(mine, axis=0) != 0).sum(0)
+    ranked = sorted(range(mine.shape[1]), key=lambda j: (-variety[j], -changes[j], j))
+    return sorted(ranked[: min(count, mine.shape[1] - 1)])
