@@ -194,7 +194,7 @@ PRESETS: dict[str, Scenario] = {
         Scenario(  # pillars and walls, which also hide robots from each other
             name="LeaderObstacles-v0",
             camera=Camera(occlusion=True),
-            map=Forest(),
+            map=Forest(n_pillars=5, n_walls=1),
         ),
         Scenario(  # Sec. V with full dynamics, a tilting camera and actuation noise
             name="TiltDynamics-v0",

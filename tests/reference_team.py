@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import reference as ref
 
 from fovconn_env import layout
+from tests import reference as ref
 
 
 class Post(NamedTuple):
@@ -65,7 +65,9 @@ class Team:
 
     def sense(self):
         camera, team = self.scenario.camera, self.poses
-        self.sight = {(i, j): ref.relative(team[i], team[j]) for i, j in self.pairs if ref.watches(team[i], team[j], camera)}
+        self.sight = {
+            (i, j): ref.relative(team[i], team[j]) for i, j in self.pairs if ref.watches(team[i], team[j], camera)
+        }
         self.f = np.zeros((self.n, self.n))
         for i, j in self.sight:
             self.f[i, j] = ref.f_star(ref.cosine(team[i], team[j], camera), camera)
@@ -120,7 +122,9 @@ class Team:
     def observe(self, i, stick):
         """Robot i's observation (D,): the columns of layout, row by row."""
         leader = float(i == self.scenario.leader_index)
-        own = dict(zip(("vx", "vy", "vz", "yaw_rate"), self.motion[i], strict=True), roll=0.0, pitch=0.0, is_leader=leader)
+        own = dict(
+            zip(("vx", "vy", "vz", "yaw_rate"), self.motion[i], strict=True), roll=0.0, pitch=0.0, is_leader=leader
+        )
         own |= {"lambda2_hat": self.power.lambda2_hat[i], "v2_hat": self.power.v2_hat[i]}
         own |= {f"stick_{a}": leader * s for a, s in zip("xyz", stick, strict=True)}
         near = sorted((j for j in range(self.n) if j != i and self.present(i, j)), key=lambda j: self.distance[i, j])
@@ -151,7 +155,13 @@ class Team:
             bearing = -ref.Rz(estimate.psi_used) @ heard.p_ji / d  # case 2 of Sec. III-C
         x_j, y_j = (post.x[j], post.y[:, j]) if post is not None else (0.0, np.zeros(3))
         return {
-            **{"present": 1.0, "f_ij": self.f[i, j], "f_ji": heard.f_ji, "distance": d, "yaw_valid": float(estimate.valid)},
+            **{
+                "present": 1.0,
+                "f_ij": self.f[i, j],
+                "f_ji": heard.f_ji,
+                "distance": d,
+                "yaw_valid": float(estimate.valid),
+            },
             **{f"bearing_{a}": b for a, b in zip("xyz", bearing, strict=True)},
             **{"cos_yaw": np.cos(estimate.psi_used), "sin_yaw": np.sin(estimate.psi_used), "roll": 0.0, "pitch": 0.0},
             **{f"v{a}": v for a, v in zip("xyz", heard.v_j, strict=True)},

@@ -29,8 +29,8 @@ def draw_potential(potential: Potential) -> Figure:
     figure = style.page(7.5, 3.6)
     axes = figure.add_subplot()
     shown = potential.value > 0
-    floor, top = float(potential.value[shown].min()), float(potential.value.max())
-    axes.set(yscale="log", xlim=(-0.03 * high, 1.13 * high), ylim=(max(floor, 1e-5 * top), 3.0 * top))
+    floor, top = float(np.interp(0.97 * high, potential.lambda2, potential.value)), float(potential.value.max())
+    axes.set(yscale="log", xlim=(-0.03 * high, 1.08 * high), ylim=(floor, 3.0 * top))
     acts = potential.lambda2 >= held
     axes.plot(potential.lambda2[~acts], potential.value[~acts], ls=":", color=style.FAINT, lw=1.4)
     axes.plot(potential.lambda2[acts & shown], potential.value[acts & shown], color="#0072B2", lw=2.0)

@@ -21,6 +21,7 @@ from fovconn_env.render.obstacles import outlines
 from fovconn_env.render.table import markdown, parameters
 
 DOT_EVERY = 5.0  # s between the dots of a trajectory
+LOST_FOR = 1.0  # s without any sight after which meeting again is marked
 
 
 def draw_all(
@@ -48,8 +49,8 @@ def draw_all(
 @matplotlib.rc_context(style.RC)
 def draw_trajectories(flight: Flight) -> Figure:
     """Fig. 4: the flight in 3-D with a dot every 5 s, the leader emphasised, starts hollow, way points as stars."""
-    figure = style.page(7.5, 5.2)
-    axes = figure.add_subplot(projection="3d", elev=32, azim=-60)
+    figure = style.page(7.5, 4.6, layout="none")
+    axes = figure.add_axes((-0.06, -0.1, 0.92, 1.2), projection="3d", elev=32, azim=-60)
     leader, dots = flight.scenario.leader_index, _dots(flight)
     limits = [style.span(flight.poses[..., k], 1.0) for k in range(3)]
     middle = sum(limits[2]) / 2
@@ -70,21 +71,24 @@ def draw_trajectories(flight: Flight) -> Figure:
         floors = [np.column_stack([shape, np.full(len(shape), floor)]) for shape in _shapes_within(flight, limits)]
         axes.add_collection3d(Poly3DCollection(floors, facecolors=style.OBSTACLE, edgecolors=style.OBSTACLE, alpha=0.8))
     axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2], xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
-    axes.set_box_aspect([high - low for low, high in limits], zoom=1.12)
+    axes.set_box_aspect([high - low for low, high in limits], zoom=1.08)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.pane.set(facecolor="#F8F8F8", edgecolor=style.GRID)
-    axes.legend(handles=_legend(flight), loc="upper left", bbox_to_anchor=(1.0, 0.9))
+    figure.legend(handles=_legend(flight), loc="center right")
     return figure
 
 
 @matplotlib.rc_context(style.RC)
 def draw_top_view(flight: Flight) -> Figure:
     """Fig. 5: the flight from above with a dot every 5 s, and the obstacles."""
-    figure = style.page(7.5, 5.2)
-    axes = figure.add_subplot(aspect="equal")
     leader, dots = flight.scenario.leader_index, _dots(flight)
     places = np.concatenate([flight.poses[..., :2].reshape(-1, 2), flight.waypoints[:, :2]])
-    axes.set(xlim=style.span(places[:, 0], 1.2), ylim=style.span(places[:, 1], 1.2), xlabel="x (m)", ylabel="y (m)")
+    (left, right), (low, high) = style.span(places[:, 0], 1.2), style.span(places[:, 1], 1.2)
+    spare = max(0.0, 0.75 * (high - low) - (right - left)) / 2  # a narrow flight shows more of its surroundings
+    left, right = left - spare, right + spare
+    figure = style.page(7.5, min(max(5.0 * (high - low) / (right - left) + 0.7, 3.6), 7.2))
+    axes = figure.add_subplot(aspect="equal")
+    axes.set(xlim=(left, right), ylim=(low, high), xlabel="x (m)", ylabel="y (m)")
     shapes = outlines(flight.pieces, flight.vertices)
     axes.add_collection(PolyCollection(shapes, fc=style.OBSTACLE, ec=style.OBSTACLE, lw=0.5), autolim=False)
     for i, color in enumerate(_colors(flight)):
@@ -115,7 +119,7 @@ def draw_connectivity(flight: Flight) -> Figure:
     below.step(flight.time, edges, where="post", color="#0072B2", lw=1.4)
     below.set(title="Number of edges", ylabel="edges", xlabel="time (s)", xlim=(0, max(flight.time[-1], 1e-3)))
     below.set_ylim(min(edges.min(), flight.scenario.n_agents - 1) - 0.6, edges.max() + 0.6)
-    below.yaxis.get_major_locator().set_params(integer=True)
+    below.yaxis.get_major_locator().set_params(integer=True, nbins=6)
     return figure
 
 
@@ -133,7 +137,7 @@ def draw_relative_yaw(flight: Flight, i: int | None = None, others: Sequence[int
     rows = figure.subplots(len(others), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, j in zip(rows, others, strict=True):
         _plot_yaw_error(axes, flight, i, j, classes[:, i, j])
-        axes.set_title(f"robot {i + 1}'s estimate of robot {j + 1}'s heading")
+        axes.set_title(f"Robot {i + 1}'s estimate of robot {j + 1}'s heading")
         axes.set_ylabel(rf"$\sin((\psi_{{{i + 1}{j + 1}}} - \tilde\psi_{{{i + 1}{j + 1}}})/2)$")
     rows[-1].set(xlabel="time (s)", xlim=(0, max(flight.time[-1], 1e-3)), ylim=(-1.08, 1.08))
     names = (f"robot {i + 1} sees $j$ only", f"$j$ sees robot {i + 1} only", "mutual sight", "neither sees the other")
@@ -172,7 +176,7 @@ def _plot_yaw_error(axes: Axes, flight: Flight, i: int, j: int, classes: np.ndar
     error = np.sin((flight.yaw[:, i, j] - flight.yaw_hat[:, i, j]) / 2)
     for first, stop, kind in sight.phases(classes):
         axes.axvspan(time[max(first - 1, 0)], time[stop - 1], color=style.PHASES[kind], lw=0, zorder=0)
-    for k in sight.reacquired(classes):
+    for k in sight.regained(classes, round(LOST_FOR / flight.scenario.step_time)):
         axes.axvline(float(time[k - 1]), color=style.TRUTH, ls="--", lw=1.2, zorder=4)
     axes.axhline(0.0, color="#777777", lw=0.6, zorder=2)
     axes.plot(time, error, color=style.FAINT, lw=1.1, ls=(0, (2, 1.5)), zorder=3)

@@ -26,9 +26,10 @@ def phases(classes: np.ndarray) -> list[tuple[int, int, int]]:
     return [(int(a), int(b), int(classes[a])) for a, b in zip(starts, stops, strict=True)]
 
 
-def reacquired(classes: np.ndarray) -> np.ndarray:
-    """Indices at which a phase in which nobody saw the other ends."""
-    return np.flatnonzero((classes[1:] != NOBODY) & (classes[:-1] == NOBODY)) + 1
+def regained(classes: np.ndarray, least: int = 1) -> list[int]:
+    """Indices at which a phase of at least `least` instants in which nobody saw the other ends."""
+    spans = phases(classes)
+    return [stop for first, stop, kind in spans[:-1] if kind == NOBODY and stop - first >= least]
 
 
 def busiest(classes: np.ndarray, i: int, count: int = 2) -> list[int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -47,9 +48,9 @@ RC = {
 }
 
 
-def page(width: float = 7.5, height: float = 4.0) -> Figure:
-    """An empty figure of width x height inches (1200 pixels wide unless told), drawn by Agg: no display is needed."""
-    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained", facecolor="white")
+def page(width: float, height: float, layout: Literal["constrained", "none"] = "constrained") -> Figure:
+    """An empty figure of width x height inches (7.5 is 1200 pixels), drawn by Agg: no display is needed."""
+    figure = Figure(figsize=(width, height), dpi=DPI, layout=layout, facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 

@@ -67,12 +67,13 @@ def parameters(scenario: Scenario, law: Mapping[str, float] | None = None) -> li
 
 
 def markdown(rows: list[Parameter]) -> str:
-    """The rows as a Markdown table, aligned so that it also reads as plain text."""
+    """The rows as a Markdown table, aligned so that it also reads as plain text, and how the figures count robots."""
     table = [("paper's symbol", "setting", "value", "unit", "Table I"), *rows]
     widths = [max(len(row[k]) for row in table) for k in range(len(table[0]))]
     lines = ["| " + " | ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)) + " |" for row in table]
     lines.insert(1, "|" + "|".join("-" * (w + 2) for w in widths) + "|")
-    return "\n".join(lines) + "\n"
+    note = "The figures count robots from 1, as the paper does: robot 1 is the agent `uav_0`."
+    return "\n".join([*lines, "", note, ""])
 
 
 def _shown(value: object) -> str:

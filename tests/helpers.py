@@ -1,0 +1,99 @@
+"""What the tests share: small scenarios, recorded actions, poses, and comparisons bit for bit."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+
+import numpy as np
+from numba.core import config
+
+from fovconn_env.kernel import types
+from fovconn_env.scenarios import Scenario, scenario
+from fovconn_env.simulator import Simulator
+from fovconn_env.world import place
+from tests import reference as ref
+
+JIT = not config.DISABLE_JIT
+KINDS = ("union", "product", "omni")  # scenarios.SWITCHES["weight"]
+
+
+def few(many: int, without_jit: int) -> int:
+    """A sample size: compiled, and without the JIT."""
+    return many if JIT else without_jit
+
+
+def small(name: str = "LeaderFollow-v0", **changes) -> Scenario:
+    """A preset with four robots and a short warm-up, cheap without the JIT as well."""
+    return scenario(name, **{"n_agents": 4, "warmup": 0.1, **changes})
+
+
+def records(kind: np.dtype, count: int | tuple[int, ...] = 1, **fields) -> np.ndarray:
+    """Zeroed records of a kind with some fields filled."""
+    array = np.zeros(count, kind)
+    for name, value in fields.items():
+        array[name] = value
+    return array
+
+
+def recorded_actions(n_steps: int, n_agents: int, *, n_worlds: int = 1, seed: int = 5, size: float = 0.7) -> np.ndarray:
+    """Actions (n_steps, B, N, 4) held for ten steps each."""
+    rng = np.random.default_rng(seed)
+    actions = rng.uniform(-size, size, (n_steps // 10 + 1, n_worlds, n_agents, 4))
+    return np.repeat(actions, 10, axis=0)[:n_steps]
+
+
+def draw_team(rng: np.random.Generator, n: int, *, box=(9.0, 9.0, 3.0), tilt: float = 0.0) -> list[ref.Pose]:
+    """Random poses, tilted by up to `tilt` rad in roll and pitch."""
+    at = (rng.random((n, 3)) - 0.5) * np.array(box) * np.sqrt([n / 6, n / 6, 1.0])
+    return [ref.Pose(at[i], *rng.uniform(-1.0, 1.0, 3) * [math.pi, tilt, tilt]) for i in range(n)]
+
+
+def bodies_of(team: list[ref.Pose], camera) -> np.ndarray:
+    """BODY records (N,) at rest at these poses; optical axes tilted."""
+    bodies = np.zeros(len(team), types.BODY)
+    place(bodies, np.array([[*pose.p, pose.yaw] for pose in team]))
+    bodies["cos_yaw"], bodies["sin_yaw"] = np.cos(bodies["yaw"]), np.sin(bodies["yaw"])
+    for body, pose in zip(bodies, team, strict=True):
+        body["roll"], body["pitch"] = pose.roll, pose.pitch
+        body["ox"], body["oy"], body["oz"] = ref.tilt(pose.roll, pose.pitch) @ ref.axis(camera)
+    return bodies
+
+
+def fly(simulator: Simulator, actions: np.ndarray) -> list[np.ndarray]:
+    """Step through recorded actions; copies of the observations (B, N, D) after each."""
+    return [simulator.step(step).copy() for step in actions]
+
+
+# ------------------------------------------------------------------------------------------------- bit for bit
+def contents(record_or_array) -> dict[str, bytes]:
+    """Every field of an array as bytes, without what lies between the fields."""
+    array = np.asarray(record_or_array)
+    if array.dtype.names is None:
+        return {"": np.ascontiguousarray(array).tobytes()}
+    return {name: np.ascontiguousarray(array[name]).tobytes() for name in array.dtype.names}
+
+
+def snapshot(simulator: Simulator, b: int) -> dict[str, bytes]:
+    """Every field of the state, and of what is used of the world, of world b."""
+    parts = {name: contents(array[b]) for name, array in simulator.state._asdict().items()}
+    world = simulator.world
+    piece = world.piece[b][world.piece[b]["count"] > 0]
+    corners = int((piece["first"] + piece["count"]).max(initial=0))
+    parts |= {"piece": contents(piece), "vertex": contents(world.vertex[b, :corners])}
+    parts |= {"waypoint": contents(world.waypoint[b]), "n_waypoints": contents(world.n_waypoints[b])}
+    return {f"{part}.{name}": data for part, fields in parts.items() for name, data in fields.items()}
+
+
+def differing(a: dict[str, bytes], b: dict[str, bytes]) -> list[str]:
+    """Names of the entries of two snapshots that differ."""
+    return sorted(name for name in a.keys() | b.keys() if a.get(name) != b.get(name))
+
+
+def digest(simulator: Simulator) -> str:
+    """Hash of all worlds' snapshots."""
+    total = hashlib.sha256()
+    for b in range(simulator.n_worlds):
+        for name, data in sorted(snapshot(simulator, b).items()):
+            total.update(name.encode() + data)
+    return total.hexdigest()
