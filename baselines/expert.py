@@ -58,9 +58,16 @@ class Expert(Policy):
         return actions
 
 
+def potential(lambda2: np.ndarray, scenario: Scenario, gains: Gains | None = None) -> np.ndarray:
+    """V(lambda2) = k_v (lambda2_max - lambda2)^2 / (lambda2 - lambda2_min), 0 from lambda2_max on (Fig. 2)."""
+    low, high = scenario.lambda2_min, scenario.lambda2_max
+    value = (gains or Gains()).k_v * (high - lambda2) ** 2 / (lambda2 - low)
+    return np.where(lambda2 < high, value, 0.0)
+
+
 @kernel
 def potential_slope(lambda2, p, g):
-    """dV/dlambda2 of V = k_v (lambda2_max - lambda2)^2 / (lambda2 - lambda2_min), 0 from lambda2_max on (Fig. 2)."""
+    """dV/dlambda2 of `potential`, with lambda2 kept `clamp` above its asymptote."""
     low, high = p.lambda2_min, p.lambda2_max
     at = max(lambda2, low + g.clamp)
     if at >= high:

@@ -39,7 +39,11 @@ class Flight(NamedTuple):
 
 
 def fly(
-    scenario: Scenario, act: Callable[[np.ndarray], np.ndarray], seed: int, *, watch: Callable[[int], None] | None = None
+    scenario: Scenario,
+    act: Callable[[np.ndarray], np.ndarray],
+    seed: int,
+    *,
+    watch: Callable[[int], None] | None = None,
 ) -> Flight:
     """Fly one episode with `act` (flat observations (1, N, D) to actions (1, N, 4)) and put it on record.
 
@@ -49,7 +53,7 @@ def fly(
     observations = simulator.reset(seed)
     frames = [tuple(_frame(simulator, np.zeros(3)))]
     while not simulator.over[0]:
-        stick = _stick(simulator)
+        stick = world_stick(simulator)
         observations = simulator.step(act(observations))
         frames.append(tuple(_frame(simulator, stick)))
         if watch is not None:
@@ -70,7 +74,8 @@ def fly(
     )
 
 
-def _stick(simulator: Simulator) -> np.ndarray:
+def world_stick(simulator: Simulator) -> np.ndarray:
+    """The operator's velocity in the next step of the first world, (3,) m/s, world frame."""
     episode, leader = simulator.state.episode[0], simulator.state.body[0, simulator.scenario.leader_index]
     x, y, z = episode["stick_x"], episode["stick_y"], episode["stick_z"]
     c, s = leader["cos_yaw"], leader["sin_yaw"]

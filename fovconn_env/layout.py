@@ -166,7 +166,9 @@ class Rows(NamedTuple):
 def rows(flat: np.ndarray, max_neighbors: int, max_ranges: int) -> Rows:
     """Record views of flat observations, (..., D) float32 C-contiguous; nothing is copied."""
     if flat.dtype != np.float32 or not flat.flags.c_contiguous:
-        raise ValueError(f"flat observations must be C-contiguous float32, got {flat.dtype} with strides {flat.strides}")
+        raise ValueError(
+            f"flat observations must be C-contiguous float32, got {flat.dtype} with strides {flat.strides}"
+        )
     if flat.shape[-1] != observation_size(max_neighbors, max_ranges):
         raise ValueError(
             f"flat observations must have {observation_size(max_neighbors, max_ranges)} columns for "

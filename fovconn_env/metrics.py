@@ -65,7 +65,11 @@ class Meter:
         for name, kind in (("mutual", mutual), ("one_way", one_way)):
             self._add(settled, f"{name}_time", kind.sum((1, 2)))
             self._add(settled, f"{name}_valid", (kind & valid).sum((1, 2)))
-        for name, value in (("lambda2", lambda2), ("separation", body["nearest"].min(1)), ("clearance", body["clearance"].min(1))):
+        for name, value in (
+            ("lambda2", lambda2),
+            ("separation", body["nearest"].min(1)),
+            ("clearance", body["clearance"].min(1)),
+        ):
             np.minimum(self._least[name], value, out=self._least[name], where=live)
         self._first_loss = np.where(live & ~connected & np.isnan(self._first_loss), now, self._first_loss)
         self._links = links

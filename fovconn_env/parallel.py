@@ -26,7 +26,7 @@ class ParallelEnv(pettingzoo.ParallelEnv):
     same numbers in the same order; actions are `Box(-1, 1, (4,))`. Columns, units and frames: `fovconn_env.layout`.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's own form)
+    metadata: dict[str, Any] = {
         "name": "fovconn_v0",
         "render_modes": ["rgb_array"],
         "render_fps": 20,
@@ -150,7 +150,9 @@ class ParallelEnv(pettingzoo.ParallelEnv):
                 raise ValueError(f"actions must hold every agent, got none for {agent}: all robots act in every step")
             action = np.asarray(actions[agent])
             if action.shape != row.shape:
-                raise ValueError(f"action of {agent} must have the shape {row.shape}, got {action.shape}: vx vy vz yaw_rate")
+                raise ValueError(
+                    f"action of {agent} must have the shape {row.shape}, got {action.shape}: vx vy vz yaw_rate"
+                )
             row[:] = action
         if len(actions) > len(self.agents):
             unknown = next(agent for agent in actions if agent not in self.agents)

@@ -114,7 +114,9 @@ class Scenario:
         for name, kind in _GROUPS.items():
             value = getattr(self, name)
             if not isinstance(value, kind):
-                raise TypeError(f"Scenario.{name} must be a {kind.__name__}, got {value!r}: write {name}={kind.__name__}(...)")
+                raise TypeError(
+                    f"Scenario.{name} must be a {kind.__name__}, got {value!r}: write {name}={kind.__name__}(...)"
+                )
         if not isinstance(self.map, (Map, Forest, type(None))):
             raise TypeError(f"Scenario.map must be a Map, a Forest or None, got {self.map!r}: see fovconn_env.Map")
 
@@ -213,7 +215,9 @@ def scenario(base: str | Scenario = "LeaderFollow-v0", /, **changes: Any) -> Sce
     if isinstance(base, str):
         name = base.removeprefix("fovconn/")
         if name not in PRESETS:
-            raise ValueError(f"scenario must be one of {', '.join(PRESETS)}, got {base!r}: {_closest(name, tuple(PRESETS))}")
+            raise ValueError(
+                f"scenario must be one of {', '.join(PRESETS)}, got {base!r}: {_closest(name, tuple(PRESETS))}"
+            )
         base = PRESETS[name]
     elif not isinstance(base, Scenario):
         raise TypeError(f"scenario must be an id or a Scenario, got {base!r}")

@@ -46,7 +46,9 @@ class Clock:
         check_numbers(self, above="tick ticks rounds")
         rule(self.tick <= 0.05, "Clock.tick", "at most 0.05", self.tick, "the estimators diverge above (seconds)")
         for name in ("ticks", "rounds"):
-            rule(isinstance(getattr(self, name), int), f"Clock.{name}", "a whole number", getattr(self, name), "a count")
+            rule(
+                isinstance(getattr(self, name), int), f"Clock.{name}", "a whole number", getattr(self, name), "a count"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,4 +257,6 @@ class Reward:
     near: float = 1.0  # m
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="near", at_least="connectivity progress proximity effort success collision disconnected")
+        check_numbers(
+            self, above="near", at_least="connectivity progress proximity effort success collision disconnected"
+        )

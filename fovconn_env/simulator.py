@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 import pickle
 from collections.abc import Sequence
@@ -15,6 +16,11 @@ from fovconn_env.scenarios import Scenario
 from fovconn_env.world import NO_ACTIONS, NO_MASK, Scout, Start, allocate, place
 
 WORLDS_PER_THREAD = 16  # fewer are not worth a thread
+
+
+def _cores() -> int:
+    """Processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Simulator:
@@ -33,8 +39,7 @@ class Simulator:
         self.state.episode["over"] = True  # until the first reset
         self._scout = Scout(scenario)
         self._rngs: list[np.random.Generator] = [np.random.default_rng() for _ in range(n_worlds)]
-        cores = n_threads or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
-        self._n_threads = min(cores, max(n_worlds // WORLDS_PER_THREAD, 1))
+        self._n_threads = min(n_threads or _cores(), max(n_worlds // WORLDS_PER_THREAD, 1))
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
         warm = scenario.warmup if scenario.lambda2 == "power" else 0.0
         self._warm_ticks = max(round(warm / scenario.clock.tick), 2)  # two fill the observation
@@ -80,7 +85,7 @@ class Simulator:
         return self.state.pair["weight"].copy()
 
     def privileged(self) -> np.ndarray:
-        """(B, S) float32 for centralised critics, in the leader's yaw frame: `layout.STATE` a robot, then STATE_TEAM."""
+        """(B, S) float32 for centralised critics, leader's yaw frame: `layout.STATE` a robot, then STATE_TEAM."""
         body, episode, lead = self.state.body, self.state.episode, self.scenario.leader_index
         origin = body[:, lead, None]
         c, s = origin["cos_yaw"], origin["sin_yaw"]
@@ -115,7 +120,11 @@ class Simulator:
 
     # ------------------------------------------------------------------------------------------------- actions
     def reset(
-        self, seed: int | Sequence[int] | None = None, *, mask: np.ndarray | None = None, poses: np.ndarray | None = None
+        self,
+        seed: int | Sequence[int] | None = None,
+        *,
+        mask: np.ndarray | None = None,
+        poses: np.ndarray | None = None,
     ) -> np.ndarray:
         """Start the masked worlds (all by default) and return the observations, (B, N, D).
 
@@ -127,11 +136,8 @@ class Simulator:
             raise ValueError(f"mask must have the shape ({self.n_worlds},), got {chosen.shape}: one entry a world")
         seeds = self._seeds(seed)
         drawn: dict[int, tuple[np.random.Generator, Start, int]] = {}
-        for b in np.flatnonzero(chosen):
-            old = self._rngs[b]
-            rng = np.random.default_rng(seeds[b]) if seeds is not None else np.random.Generator(type(old.bit_generator)())
-            if seeds is None:
-                rng.bit_generator.state = old.bit_generator.state
+        for b in np.flatnonzero(chosen).tolist():
+            rng = copy.deepcopy(self._rngs[b]) if seeds is None else np.random.default_rng(seeds[b])
             start = self._scout.draw(rng, poses)
             drawn[b] = rng, start, int(rng.integers(2**63))
         self._make_room(drawn)
@@ -150,11 +156,13 @@ class Simulator:
         actions = np.asarray(actions, np.float64)
         shape = (self.n_worlds, self.scenario.n_agents, 4)
         if actions.shape != shape:
-            raise ValueError(f"actions must have the shape {shape}, got {actions.shape}: (worlds, robots, vx vy vz yaw_rate)")
+            raise ValueError(
+                f"actions must have the shape {shape}, got {actions.shape}: (worlds, robots, vx vy vz yaw_rate)"
+            )
         if not np.isfinite(actions).all():
             b, i, _ = np.argwhere(~np.isfinite(actions))[0]
             raise ValueError(
-                f"actions must be finite, got {actions[b, i].tolist()} for uav_{i} of world {b}: did the policy diverge?"
+                f"action of uav_{i} of world {b} must be finite, got {actions[b, i].tolist()}: did the policy diverge?"
             )
         self._run(step.ADVANCE, actions, NO_MASK)
         return self.observations
@@ -164,7 +172,9 @@ class Simulator:
             return None
         seeds = [seed + b for b in range(self.n_worlds)] if isinstance(seed, (int, np.integer)) else list(seed)
         if len(seeds) != self.n_worlds or any(s < 0 for s in seeds):
-            raise ValueError(f"seed must be a number or {self.n_worlds} numbers, none below 0, got {seed!r}: one a world")
+            raise ValueError(
+                f"seed must be a number or {self.n_worlds} numbers, none below 0, got {seed!r}: one a world"
+            )
         return [int(s) for s in seeds]
 
     def _make_room(self, drawn: dict) -> None:
@@ -175,15 +185,25 @@ class Simulator:
             return
         piece = np.zeros((self.n_worlds, n_pieces), self.world.piece.dtype)
         vertex = np.zeros((self.n_worlds, n_vertices, 2))
-        piece[:, : self.world.piece.shape[1]], vertex[:, : self.world.vertex.shape[1]] = self.world.piece, self.world.vertex
+        piece[:, : self.world.piece.shape[1]], vertex[:, : self.world.vertex.shape[1]] = (
+            self.world.piece,
+            self.world.vertex,
+        )
         self.world = self.world._replace(piece=piece, vertex=vertex)
 
     def _place(self, b: int, start: Start, key: int) -> None:
         """Clear the records of world b and put the start into them."""
         for array in self.state:
             array[b] = np.zeros((), array.dtype)
-        self.world.piece[b], self.world.vertex[b], self.world.waypoint[b] = np.zeros((), self.world.piece.dtype), 0.0, 0.0
-        self.world.piece[b, : len(start.pieces)], self.world.vertex[b, : len(start.vertices)] = start.pieces, start.vertices
+        self.world.piece[b], self.world.vertex[b], self.world.waypoint[b] = (
+            np.zeros((), self.world.piece.dtype),
+            0.0,
+            0.0,
+        )
+        self.world.piece[b, : len(start.pieces)], self.world.vertex[b, : len(start.vertices)] = (
+            start.pieces,
+            start.vertices,
+        )
         self.world.waypoint[b, : len(start.waypoints)] = start.waypoints
         self.world.n_waypoints[b] = len(start.waypoints)
         place(self.state.body[b], start.poses)

@@ -68,7 +68,11 @@ def allocate(scenario: Scenario, n_worlds: int, n_pieces: int, n_vertices: int) 
 def observation_bounds(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
     """Bounds of a flat observation, (D,) float32 each."""
     scales, parts = scenario.scales(), []
-    for table, count in ((layout.SELF, 1), (layout.NEIGHBOR, scenario.max_neighbors), (layout.RANGE, scenario.max_ranges)):
+    for table, count in (
+        (layout.SELF, 1),
+        (layout.NEIGHBOR, scenario.max_neighbors),
+        (layout.RANGE, scenario.max_ranges),
+    ):
         parts.append([np.tile(bound, count) for bound in layout.bounds(table, scales)])
     low, high = (np.concatenate(part) for part in zip(*parts, strict=True))
     return low, high
@@ -93,8 +97,8 @@ class Scout:
                 return start
         s = self.scenario.start
         raise ValueError(
-            f"Start must leave a start with lambda2 in ({s.lambda2_low:g}, {s.lambda2_high:g}), spacing {s.spacing:g} m "
-            f"and clearance {s.clearance:g} m, found none in {MAX_TRIES} draws of {self.scenario.n_agents} robots: "
+            f"Start must allow lambda2 in ({s.lambda2_low:g}, {s.lambda2_high:g}), spacing {s.spacing:g} m and clearance "
+            f"{s.clearance:g} m, found no start in {MAX_TRIES} draws of {self.scenario.n_agents} robots: "
             "enlarge Start.box, lower spacing or clearance, widen the lambda2 interval, or use a map with more room"
         )
 

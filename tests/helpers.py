@@ -25,7 +25,7 @@ def few(many: int, without_jit: int) -> int:
 
 def small(name: str = "LeaderFollow-v0", **changes) -> Scenario:
     """A preset with four robots and a short warm-up, cheap without the JIT as well."""
-    return scenario(name, **{"n_agents": 4, "warmup": 0.1, **changes})
+    return scenario(name, **{"n_agents": 4, "warmup": 0.1 if JIT else 0.02, **changes})
 
 
 def records(kind: np.dtype, count: int | tuple[int, ...] = 1, **fields) -> np.ndarray:

@@ -28,8 +28,13 @@ def look(bodies, pairs, piece, vertex, p):
             near = max(distance, 1e-9)
             ij.distance = ji.distance = distance
             a.nearest, b.nearest = min(a.nearest, distance), min(b.nearest, distance)
-            ij.cosine = (a.ox * (a.cos_yaw * dx + a.sin_yaw * dy) + a.oy * (a.cos_yaw * dy - a.sin_yaw * dx) + a.oz * dz) / near
-            ji.cosine = -(b.ox * (b.cos_yaw * dx + b.sin_yaw * dy) + b.oy * (b.cos_yaw * dy - b.sin_yaw * dx) + b.oz * dz) / near
+            ij.cosine = (
+                a.ox * (a.cos_yaw * dx + a.sin_yaw * dy) + a.oy * (a.cos_yaw * dy - a.sin_yaw * dx) + a.oz * dz
+            ) / near
+            ji.cosine = (
+                -(b.ox * (b.cos_yaw * dx + b.sin_yaw * dy) + b.oy * (b.cos_yaw * dy - b.sin_yaw * dx) + b.oz * dz)
+                / near
+            )
             in_range = p.d_min < distance < p.d_max
             wanted = in_range and (ij.cosine > p.a_min or ji.cosine > p.a_min)
             blocked = p.occlusion and wanted and sight_blocked(a.x, a.y, a.z, b.x, b.y, b.z, piece, vertex)

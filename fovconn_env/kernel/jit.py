@@ -4,6 +4,8 @@
 leave plain Python behind.
 """
 
+# pyright: reportAttributeAccessIssue=false
+# (numba.core.config fills itself from the environment)
 from __future__ import annotations
 
 import functools

@@ -79,7 +79,9 @@ def run(task, state, world, params, actions, mask, warm_ticks, first, last):
         clip(state.flat[b], world.low, world.high)
         if task == ADVANCE:
             end(episode, arrived, p)
-            reward(bodies, infos, state.reward[b], state.range_row[b], actions[b], episode, stick_x, stick_y, stick_z, p)
+            reward(
+                bodies, infos, state.reward[b], state.range_row[b], actions[b], episode, stick_x, stick_y, stick_z, p
+            )
         tell(bodies, tracks, beliefs, infos, episode, p)
 
 

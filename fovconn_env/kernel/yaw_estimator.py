@@ -71,7 +71,9 @@ def estimate_yaw(track, sight, own, heard, p):
     norm = math.sqrt(cos_hat * cos_hat + sin_hat * sin_hat)
     gain = 0.0
     if told and sight.seen and track.since >= p.yaw_hold and norm > 1e-9:
-        gain = rise(math.sqrt(ux * ux + uy * uy), p.yaw_v_min, p.yaw_v_max)  # horizontal: a vertical velocity carries no yaw
+        gain = rise(
+            math.sqrt(ux * ux + uy * uy), p.yaw_v_min, p.yaw_v_max
+        )  # horizontal: a vertical velocity carries no yaw
 
     if not track.valid and mutual:
         track.cos_yaw, track.sin_yaw, track.valid = cos_direct, sin_direct, True
@@ -127,7 +129,7 @@ def _observe(track, sight, own, heard, p):
 
 @kernel
 def _direct(track, heard):
-    """yaw_ij from both bearings in mutual view: (does it tell, cosine, sine). Needs a line of sight that is not steep."""
+    """yaw_ij from both bearings in mutual view: (does it tell, cosine, sine); a steep line of sight does not."""
     ax, ay = track.x, track.y
     bx, by = -heard.px, -heard.py
     a, b = math.sqrt(ax * ax + ay * ay), math.sqrt(bx * bx + by * by)

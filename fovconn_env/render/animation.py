@@ -16,14 +16,15 @@ from PIL import Image
 
 from fovconn_env.flight import Flight
 from fovconn_env.render import style
-from fovconn_env.render.figures import plot_lambda2, pushed
+from fovconn_env.render.gif import write_gif
 from fovconn_env.render.scene import Scene, arrow_shape, body_shapes, draw_ground, turned
+from fovconn_env.render.timelines import plot_lambda2
 
 WIDTH, HEIGHT = 8.0, 7.0  # inches; 800 x 700 pixels in the animation
 _SCENE, _STRIP = (0.012, 0.335, 0.976, 0.61), (0.075, 0.075, 0.905, 0.185)  # left, bottom, width, height: shares
 _MARGIN = 1.3  # m around the flight
+_TRAIL = 10.0  # s of the past that a trail shows
 _HOLD = 2.0  # s the last frame stays
-_SAME = 255  # palette entry of a pixel that stays as it was: transparent, which halves the file
 
 
 class Movie:
@@ -36,8 +37,9 @@ class Movie:
             self._canvas = FigureCanvasAgg(self._figure)
             above = self._figure.add_axes(_SCENE)
             shown, metre = _frame_view(above, flight)
-            draw_ground(above, shown)
-            self._scene = Scene(above, shown, metre)
+            start = shown.poses[0, [shown.scenario.leader_index], :2]
+            draw_ground(above, shown.pieces, shown.vertices, np.vstack([start, shown.waypoints[:, :2]]))
+            self._shown, self._scene = shown, Scene(above, shown.scenario, metre)
             self._moving = [(above, artist) for artist in self._scene.artists]
             strip = self._figure.add_axes(_STRIP)
             self._draw_strip(strip)
@@ -49,12 +51,15 @@ class Movie:
 
     def frame(self, k: int) -> np.ndarray:
         """Instant k as an image, (height, width, 3) uint8."""
-        flight = self._flight
-        self._scene.show(k)
+        flight, shown = self._flight, self._shown
+        self._scene.show(shown.poses[k], shown.tilt[k], shown.stick[k], shown.weights[k], shown.watch[k])
+        self._scene.show_trails(shown.poses[max(0, k - round(_TRAIL / shown.scenario.step_time)) : k + 1, :, :2])
         self._cursor.set_xdata([flight.time[k]] * 2)
         self._point.set_data([flight.time[k]], [flight.lambda2[k]])
         ending = f"   {flight.outcome}" if k == len(flight.time) - 1 else ""
-        self._clock.set_text(f"{flight.time[k]:5.1f} s     {self._edges[k]} links     $\\lambda_2$ = {flight.lambda2[k]:.2f}{ending}")
+        self._clock.set_text(
+            f"{flight.time[k]:5.1f} s     {self._edges[k]} links     $\\lambda_2$ = {flight.lambda2[k]:.2f}{ending}"
+        )
         self._canvas.restore_region(self._still)
         for axes, artist in self._moving:
             axes.draw_artist(artist)
@@ -63,8 +68,7 @@ class Movie:
     def _draw_strip(self, strip: Axes) -> None:
         flight = self._flight
         plot_lambda2(strip, flight)
-        style.band(strip, flight.time, pushed(flight), style.BAND)
-        strip.set(xlabel="time (s)", ylabel=r"$\lambda_2$", xlim=(0, max(flight.time[-1], 1e-3)))
+        strip.set(xlabel="time (s)", ylabel=r"$\lambda_2$", xlim=(0, flight.time[-1]))
         handles = [handle for handle in strip.get_lines() if "\\tilde" not in str(handle.get_label())]
         handles.insert(0, Line2D([], [], color=style.FAINT, lw=1.0, label="estimates"))
         strip.legend(handles=handles[:3], loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=3, borderaxespad=0.0)
@@ -80,12 +84,14 @@ class Movie:
         handles = [
             Line2D([], [], color=style.MUTUAL, lw=3.0, label="see each other"),
             Line2D([], [], color=style.ONE_WAY, lw=3.0, marker=">", ms=7, mec="white", label="one sees the other"),
-            Line2D([], [], color="#C4C4C4", marker=wedge, ls="", ms=14, mew=0, label="camera"),
+            Line2D([], [], color="#B8B8B8", marker=wedge, ls="", ms=17, mew=0, label="camera"),
             Line2D([], [], color=style.FAINT, marker=drop, ls="", ms=12, mew=0, label="heading"),
         ]
         if len(self._flight.waypoints):
             arrow = MarkerPath(arrow_shape(np.array([-1.0, 0.0]), np.array([1.0, 0.0]), 0.45))
-            handles.append(Line2D([], [], color=style.LEADER, marker=arrow, ls="", ms=18, mew=0, label="operator's stick"))
+            handles.append(
+                Line2D([], [], color=style.LEADER, marker=arrow, ls="", ms=18, mew=0, label="operator's stick")
+            )
             handles.append(Line2D([], [], color=style.OPERATOR, marker="*", ls="", ms=11, label="way point"))
         place = {"loc": "lower left", "bbox_to_anchor": (0.003, 0.288), "columnspacing": 1.6, "handletextpad": 0.6}
         self._figure.legend(handles=handles, ncols=len(handles), **place)
@@ -106,23 +112,15 @@ def animate(
     chosen = frame_indices(flight.time, speedup / fps)
     movie = Movie(flight)
     samples = [movie.frame(int(k)) for k in chosen[:: max(1, len(chosen) // 6)]]
-    palette = Image.fromarray(np.concatenate(samples)).quantize(_SAME, Image.Quantize.MEDIANCUT)
 
-    def images() -> Iterator[Image.Image]:
-        before = np.full(samples[0].shape[:2], _SAME, np.uint8)
+    def frames() -> Iterator[np.ndarray]:
         for done, k in enumerate(chosen, start=1):
-            now = np.asarray(Image.fromarray(movie.frame(int(k))).quantize(palette=palette, dither=Image.Dither.NONE))
-            image = Image.fromarray(np.where(now == before, np.uint8(_SAME), now))
-            image.putpalette(palette.getpalette() or [])
-            yield image
-            before = now
+            yield movie.frame(int(k))
             if progress is not None:
                 progress(done, len(chosen))
 
-    first, *rest = images()
     durations = [round(1000 / fps)] * (len(chosen) - 1) + [round(1000 * _HOLD)]
-    how = {"loop": 0, "disposal": 1, "transparency": _SAME, "optimize": False}
-    first.save(path, format="GIF", save_all=True, append_images=rest, duration=durations, **how)
+    write_gif(path, frames(), samples, durations)
     return path
 
 
@@ -141,9 +139,8 @@ def frame_indices(time: np.ndarray, interval: float) -> np.ndarray:
 
 
 def _frame_view(axes: Axes, flight: Flight) -> tuple[Flight, float]:
-    """Fit the axes to the whole flight, turned by a quarter where that shows it larger; returns it and points a metre."""
-    figure = axes.get_figure(root=True)
-    width, height = (s * 72 * inches for s, inches in zip(_SCENE[2:], figure.get_size_inches(), strict=True))
+    """Fit the axes to the flight, turned by a quarter where that shows it larger; returns it and points a metre."""
+    width, height = 72 * WIDTH * _SCENE[2], 72 * HEIGHT * _SCENE[3]  # points
 
     def extent(shown: Flight) -> tuple[np.ndarray, np.ndarray]:
         places = np.concatenate([shown.poses[..., :2].reshape(-1, 2), shown.waypoints[:, :2]])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,28 +10,24 @@ from fovconn_env.kernel.weights import rise
 from fovconn_env.render import style
 
 
-class Potential(NamedTuple):
-    """V of the connectivity eigenvalue, as some control law has it."""
-
-    lambda2: np.ndarray  # (L,), increasing, all above lambda2_min
-    value: np.ndarray  # (L,) V
-    lambda2_min: float  # where V has its asymptote
-    lambda2_max: float  # from where on V is 0
-    clamp: float = 0.0  # the law takes a smaller lambda2 for lambda2_min + clamp
-
-
 @matplotlib.rc_context(style.RC)
-def draw_potential(potential: Potential) -> Figure:
-    """Fig. 2: V over lambda2 on a logarithmic axis of V, with the asymptote and the clamp of the law."""
-    low, high, held = potential.lambda2_min, potential.lambda2_max, potential.lambda2_min + potential.clamp
+def draw_potential(
+    lambda2: np.ndarray, value: np.ndarray, bounds: tuple[float, float], *, clamp: float = 0.0
+) -> Figure:
+    """Fig. 2: V over lambda2, V on a logarithmic axis.
+
+    lambda2 (L,), increasing, above the asymptote; value (L,), V of it; bounds: lambda2_min, where V has its asymptote,
+    and lambda2_max, from where on it is 0. The law takes a lambda2 below lambda2_min + clamp for that value.
+    """
+    (low, high), held = bounds, bounds[0] + clamp
     figure = style.page(7.5, 3.6)
     axes = figure.add_subplot()
-    shown = potential.value > 0
-    floor, top = float(np.interp(0.97 * high, potential.lambda2, potential.value)), float(potential.value.max())
+    shown = value > 0
+    floor, top = float(np.interp(0.97 * high, lambda2, value)), float(value.max())
     axes.set(yscale="log", xlim=(-0.03 * high, 1.08 * high), ylim=(floor, 3.0 * top))
-    acts = potential.lambda2 >= held
-    axes.plot(potential.lambda2[~acts], potential.value[~acts], ls=":", color=style.FAINT, lw=1.4)
-    axes.plot(potential.lambda2[acts & shown], potential.value[acts & shown], color="#0072B2", lw=2.0)
+    acts = lambda2 >= held
+    axes.plot(lambda2[~acts], value[~acts], ls=":", color=style.FAINT, lw=1.4)
+    axes.plot(lambda2[acts & shown], value[acts & shown], color="#0072B2", lw=2.0)
     axes.axvline(low, color=style.TRUTH, ls="--", lw=1.1)
     axes.axvline(high, color=style.FAINT, ls="--", lw=1.1)
     note = {"textcoords": "offset points", "va": "center", "fontsize": 8.5}
@@ -46,9 +40,9 @@ def draw_potential(potential: Potential) -> Figure:
         arrowprops=grip | {"color": style.TRUTH},
         **note,
     )
-    if potential.clamp > 0:
-        at = float(np.interp(held, potential.lambda2, potential.value))
-        text = rf"slope held below $\lambda_2 = {held:g}$ (clamp {potential.clamp:g})"
+    if clamp > 0:
+        at = float(np.interp(held, lambda2, value))
+        text = rf"slope held below $\lambda_2 = {held:g}$ (clamp {clamp:g})"
         axes.plot(held, at, "o", color="#0072B2", ms=5)
         axes.annotate(text, (held, at), (24, 0), arrowprops=grip, **note)
     axes.annotate(rf"$V = 0$ from $\lambda_2^{{\max}} = {high:g}$", (high, 0.3 * top), (-6, 0), ha="right", **note)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-_ARC = np.linspace(0.0, 1.0, 13)  # shares of a rounded corner
+_ARC = np.linspace(0.0, 1.0, 49)  # shares of a rounded corner
 
 
 def outlines(pieces: np.ndarray, vertices: np.ndarray) -> list[np.ndarray]:
-    """Plan of every obstacle piece: closed, counter-clockwise polygons (n, 2), m. pieces (P,) PIECE, vertices (V, 2)."""
+    """Plan of every obstacle piece: counter-clockwise polygons (n, 2), m. pieces (P,) PIECE, vertices (V, 2)."""
     shapes = []
     for piece in pieces:
         first, count = int(piece["first"]), int(piece["count"])
@@ -27,6 +27,6 @@ def _rounded(core: np.ndarray, radius: float) -> np.ndarray:
 
 
 def _around(start: np.ndarray, turn: np.ndarray, radius: float) -> np.ndarray:
-    """Points (n, 13, 2) of arcs about the origin from `start` (n,) over `turn` (n,), rad."""
+    """Points (n, 49, 2) of arcs about the origin from `start` (n,) over `turn` (n,), rad."""
     angle = start[:, None] + turn[:, None] * _ARC
     return radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)

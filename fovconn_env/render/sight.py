@@ -1,11 +1,10 @@
-"""Who sees whom over time: the four classes of Fig. 7, their phases, and when a lost pair meets again."""
+"""Who sees whom over time: the four classes of Fig. 7, and when a lost pair meets again."""
 
 from __future__ import annotations
 
 import numpy as np
 
 NOBODY, OWN, OTHERS, MUTUAL = range(4)
-CLASSES = ("nobody sees", "i sees j only", "j sees i only", "mutual sight")
 
 
 def sight_class(f_ij: np.ndarray, f_ji: np.ndarray) -> np.ndarray:
@@ -19,17 +18,9 @@ def runs(mask: np.ndarray) -> list[tuple[int, int]]:
     return [(int(first), int(stop)) for first, stop in edges.reshape(-1, 2)]
 
 
-def phases(classes: np.ndarray) -> list[tuple[int, int, int]]:
-    """Spans (first, stop, class) of equal class in `classes` (T,), in order and without gaps."""
-    starts = np.flatnonzero(np.diff(classes, prepend=-1))
-    stops = np.append(starts[1:], len(classes))
-    return [(int(a), int(b), int(classes[a])) for a, b in zip(starts, stops, strict=True)]
-
-
 def regained(classes: np.ndarray, least: int = 1) -> list[int]:
-    """Indices at which a phase of at least `least` instants in which nobody saw the other ends."""
-    spans = phases(classes)
-    return [stop for first, stop, kind in spans[:-1] if kind == NOBODY and stop - first >= least]
+    """Indices in `classes` (T,) at which a phase of at least `least` instants without any sight ends."""
+    return [stop for first, stop in runs(classes == NOBODY) if stop < len(classes) and stop - first >= least]
 
 
 def busiest(classes: np.ndarray, i: int, count: int = 2) -> list[int]:

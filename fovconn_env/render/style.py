@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 
 from fovconn_env.render.sight import runs
+from fovconn_env.scenarios import Scenario
 
 LEADER = "#111111"
 FOLLOWERS = ("#0072B2", "#E69F00", "#CC79A7", "#56B4E9", "#8C6D31", "#7B4FA3", "#44AA99")
@@ -19,13 +22,16 @@ TRUTH = "#D62718"  # true lambda2, red as in the paper
 OPERATOR = "#009E73"  # the stick, and as a band where it pushes
 BAND = "#D3EDE0"
 GRID, FAINT, DARK = "#E4E4E4", "#8A8A8A", "#333333"
-OBSTACLE, OBSTACLE_EDGE = "#C9C5BE", "#8E8980"
+OBSTACLE = "#C9C5BE"
 MUTUAL, ONE_WAY = "#009E73", "#3B76B5"  # links
 # Fig. 7, by class of sight (`sight.CLASSES`): nobody, i sees j only, j sees i only, both
 PHASES = ("#FFFFFF", "#BCD8F2", "#FBE58C", "#BDE5C6")
 
+HALO = (withStroke(linewidth=2.2, foreground="white"),)  # keeps text readable on lines
+
 DPI = 160
-RC = {
+_NAMED = 10  # robots that a legend names one by one
+RC: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "mathtext.fontset": "cm",
@@ -48,7 +54,7 @@ RC = {
 }
 
 
-def page(width: float, height: float, layout: Literal["constrained", "none"] = "constrained") -> Figure:
+def page(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
     """An empty figure of width x height inches (7.5 is 1200 pixels), drawn by Agg: no display is needed."""
     figure = Figure(figsize=(width, height), dpi=DPI, layout=layout, facecolor="white")
     FigureCanvasAgg(figure)
@@ -61,21 +67,31 @@ def save(figure: Figure, path: Path) -> Path:
     return path
 
 
-def robot_colors(n_agents: int, leader: int) -> list[str]:
+def leader_of(scenario: Scenario) -> int | None:
+    """The robot the operator moves, or None."""
+    return None if scenario.leader == "none" else scenario.leader_index
+
+
+def colors_of(scenario: Scenario) -> list[str]:
     """One colour a robot, (N,): the leader's stands apart, the followers' repeat after seven."""
-    followers = [i for i in range(n_agents) if i != leader]
-    return [LEADER if i == leader else FOLLOWERS[followers.index(i) % len(FOLLOWERS)] for i in range(n_agents)]
+    leader, spare = leader_of(scenario), itertools.cycle(FOLLOWERS)
+    return [LEADER if i == leader else next(spare) for i in range(scenario.n_agents)]
 
 
-def robot_name(i: int, leader: int | None = None) -> str:
-    """What a legend calls robot i: counted from 1, as in the paper; `uav_0` is robot 1."""
-    return f"robot {i + 1} (leader)" if i == leader else f"robot {i + 1}"
+def names_of(scenario: Scenario) -> list[str]:
+    """What a legend calls each robot, (N,), counted from 1 as in the paper; in a large team only two have an entry."""
+    leader, many = leader_of(scenario), scenario.n_agents > _NAMED
+    names = [f"robot {i + 1}{' (leader)' if i == leader else ''}" for i in range(scenario.n_agents)]
+    first = 1 if leader == 0 else 0
+    return [
+        ("the others" if i == first else name if i == leader else "") if many else name for i, name in enumerate(names)
+    ]
 
 
-def band(axes: Axes, time: np.ndarray, mask: np.ndarray, color: str, **kwargs: object) -> None:
+def band(axes: Axes, time: np.ndarray, mask: np.ndarray, color: str) -> None:
     """Shade the time spans in which `mask` (T,) holds; each instant stands for the step that ends there."""
     for first, stop in runs(mask):
-        axes.axvspan(float(time[max(first - 1, 0)]), float(time[stop - 1]), color=color, lw=0, zorder=0, **kwargs)
+        axes.axvspan(float(time[max(first - 1, 0)]), float(time[stop - 1]), color=color, lw=0, zorder=0)
 
 
 def span(values: Sequence[float] | np.ndarray, margin: float) -> tuple[float, float]:

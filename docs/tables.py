@@ -1,0 +1,116 @@
+"""Write the generated tables of README.md and docs/*.md: `python docs/tables.py` (`--check` only looks).
+
+A table stands between `<!-- KIND:NAME -->` and `<!-- end -->`. KIND is `layout` (a table of `fovconn_env.layout`, or
+`layout:scales`, what the named bounds are) or `settings` (the fields of a settings class, with the comment beside each).
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import itertools
+import math
+import re
+import sys
+from pathlib import Path
+
+from baselines import Gains
+from fovconn_env import layout, scenarios, settings
+from fovconn_env.layout import Column
+
+ROOT = Path(__file__).parents[1]
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+# What the named bounds of the layout are, as expressions in the settings of a Scenario.
+SCALES = {
+    "speed": "2 * speed_limit",
+    "turn": "2 * yaw_rate_limit",
+    "stick": "stick_speed",
+    "distance": "camera.d_max",
+    "range": "rangefinder.range_max",
+    "lambda2": "n_agents",
+    "age": "radio.memory",
+    "world": "1000",
+}
+_MARKED = re.compile(r"(<!-- (\w+):(\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+_FIELD = re.compile(r"^    (\w+): (.+?) = (.+?)(?:  # (.*))?$", re.MULTILINE)
+
+
+def rendered(text: str) -> str:
+    """A page with its generated tables made anew."""
+    kinds = {"layout": layout_table, "settings": settings_table}
+    return _MARKED.sub(lambda found: f"{found[1]}\n{kinds[found[2]](found[3])}\n\n{found[4]}", text)
+
+
+def layout_table(name: str) -> str:
+    """The Markdown table of a layout table; the columns of one vector share a row."""
+    if name == "scales":
+        values = scenarios.Scenario().scales()
+        rows = [[f"`{scale}`", f"`{rule}`", f"{values[scale]:g}"] for scale, rule in SCALES.items()]
+        return _markdown(["bound", "setting", "by default"], rows)
+    if name == "LOST_LINK":
+        return _markdown(["code", "cause"], [[str(k), cause] for k, cause in enumerate(layout.LOST_LINK)])
+    rows, first = [], 0
+    for _, group in itertools.groupby(getattr(layout, name), _vector):
+        columns = list(group)
+        last = first + len(columns) - 1
+        index = f"{first}" if first == last else f"{first}-{last}"
+        names = " ".join(f"`{column.name}`" for column in columns)
+        column = columns[0]
+        meaning = column.meaning if first == last else re.sub(r", [xyz]$", "", column.meaning)
+        rows.append([index, names, column.unit, column.frame, _interval(column), meaning])
+        first = last + 1
+    return _markdown(["#", "column", "unit", "frame", "bounds", "meaning"], rows)
+
+
+def settings_table(name: str) -> str:
+    """The Markdown table of a settings class, from its source: field, default, choices or comment."""
+    kind = next(getattr(place, name) for place in (settings, scenarios) if hasattr(place, name)) if name != "Gains" else Gains
+    rows = []
+    for field, annotation, default, comment in _FIELD.findall(inspect.getsource(kind)):
+        factory = re.fullmatch(r"field\(default_factory=(\w+)\)", default)
+        choices = re.fullmatch(r"Literal\[(.*)\]", annotation)
+        words = " or ".join(f'`"{word}"`' for word in ast.literal_eval(f"({choices[1]},)")) if choices else ""
+        meaning = "; ".join(filter(None, [words, comment])) or (f"see {factory[1]} below" if factory else "")
+        rows.append([f"`{field}`", f"`{factory[1]}()`" if factory else f"`{default}`", meaning])
+    return _markdown(["setting", "default", "unit and meaning"], rows)
+
+
+def _vector(column: Column) -> tuple:
+    """What the columns of one vector have in common; any other column has only itself."""
+    stem, _, axis = column.meaning.rpartition(", ")
+    return (stem, column.unit, column.low, column.high) if axis in {"x", "y", "z"} else (column.name,)
+
+
+def _interval(column: Column) -> str:
+    scales = scenarios.Scenario().scales()
+    low, high = (
+        scales[bound.removeprefix("-")] * (-1 if bound.startswith("-") else 1) if isinstance(bound, str) else bound
+        for bound in (column.low, column.high)
+    )
+    shown = f"±{_number(high)}" if low == -high else f"{_number(low)} to {_number(high)}"
+    scale = str(column.high)
+    return f"{shown} (`{scale}`)" if scale in SCALES else shown
+
+
+def _number(value: float) -> str:
+    return "π" if value == math.pi else f"{value:g}"
+
+
+def _markdown(head: list[str], rows: list[list[str]]) -> str:
+    table = [[cell.replace("|", r"\|").replace("f*_", r"f\*_") for cell in row] for row in [head, *rows]]
+    lines = ["| " + " | ".join(row) + " |" for row in table]
+    return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]])
+
+
+def main() -> int:
+    """Write the pages that are out of date, or with --check name them; the exit status then is 1."""
+    stale = [page for page in PAGES if rendered(page.read_text("utf-8")) != page.read_text("utf-8")]
+    for page in stale:
+        print(f"{'out of date' if '--check' in sys.argv else 'wrote'}: {page.relative_to(ROOT)}")
+        if "--check" not in sys.argv:
+            page.write_text(rendered(page.read_text("utf-8")), "utf-8")
+    return int(bool(stale) and "--check" in sys.argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

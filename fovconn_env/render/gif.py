@@ -1,0 +1,61 @@
+"""Animated GIFs of flat colours: one palette for all frames, and a frame holds only the pixels that changed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+_SAME = 255  # palette entry of a pixel that stays as it was: transparent
+_FREQUENT = 160  # of the other 255 entries those that go to the most frequent colours, exactly
+_BITS = 6  # of each channel that choose the palette entry
+
+
+def write_gif(path: Path, frames: Iterable[np.ndarray], samples: list[np.ndarray], durations: list[int]) -> None:
+    """Write images (H, W, 3) uint8 that stay for `durations` (ms) each; their colours are chosen from the samples."""
+    palette = choose_palette(np.concatenate(samples))
+    first, *rest = _changes(frames, palette)
+    how = {"loop": 0, "disposal": 1, "transparency": _SAME, "optimize": False}
+    first.save(path, format="GIF", save_all=True, append_images=rest, duration=durations, **how)
+
+
+def choose_palette(sample: np.ndarray) -> np.ndarray:
+    """255 colours (255, 3) uint8 for images like the sample (H, W, 3): the most frequent, the others by median cut."""
+    colors, counts = np.unique(
+        sample.reshape(-1, 3).astype(np.uint32) @ (1 << np.array([16, 8, 0])), return_counts=True
+    )
+    frequent = colors[np.argsort(-counts, kind="stable")[:_FREQUENT]]
+    exact = np.stack([frequent >> 16, frequent >> 8 & 255, frequent & 255], axis=-1)
+    cut = Image.fromarray(sample).quantize(_SAME - len(exact), Image.Quantize.MEDIANCUT).getpalette() or []
+    rest = np.zeros((_SAME - len(exact), 3))
+    rest.flat[: len(cut)] = cut[: rest.size]
+    return np.concatenate([exact, rest]).astype(np.uint8)
+
+
+def _changes(frames: Iterable[np.ndarray], palette: np.ndarray) -> Iterator[Image.Image]:
+    """Frames as palette images in which what equals the frame before is transparent."""
+    table, before = _nearest(palette), None
+    for frame in frames:
+        red, green, blue = np.moveaxis(frame >> (8 - _BITS), -1, 0).astype(np.int32)
+        now = table[(red << 2 * _BITS) + (green << _BITS) + blue]
+        image = Image.fromarray(now if before is None else np.where(now == before, np.uint8(_SAME), now))
+        image.putpalette(palette.ravel().tolist())
+        before = now
+        yield image
+
+
+def _nearest(palette: np.ndarray) -> np.ndarray:
+    """Table (2^18,) from the upper bits of a colour to the nearest palette entry; a frequent colour gets its own."""
+    step, colors = 1 << (8 - _BITS), palette.astype(np.float32)
+    level = np.arange(0, 256, step, dtype=np.float32) + (step - 1) / 2
+    cells = np.stack(np.meshgrid(level, level, level, indexing="ij"), axis=-1).reshape(-1, 3)
+    distance = (colors**2).sum(1)  # plus the cell's own square, which does not matter
+    table = np.concatenate([(distance - 2 * part @ colors.T).argmin(1) for part in np.split(cells, 64)]).astype(
+        np.uint8
+    )
+    bits = palette.astype(np.int32) >> (8 - _BITS)
+    own = (bits[:, 0] << 2 * _BITS) + (bits[:, 1] << _BITS) + bits[:, 2]
+    table[own[_FREQUENT - 1 :: -1]] = np.arange(_FREQUENT - 1, -1, -1)  # the most frequent one last
+    return table

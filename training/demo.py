@@ -1,0 +1,44 @@
+"""What `fovconn demo` does: fly once, measure, draw."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from rich.progress import Progress
+
+from baselines import Gains, load_policy
+from baselines.expert import potential
+from fovconn_env import Flight, Scenario
+from fovconn_env.flight import fly
+from training.evaluation import Evaluation, evaluate
+
+
+def fly_once(policy: str, scenario: Scenario, seed: int, watch: Callable[[int], None]) -> tuple[Flight, Evaluation]:
+    """One flight on record, and the same flight measured."""
+    pilot = load_policy(policy, scenario)
+    flight = fly(scenario, pilot.act, seed, watch=watch)
+    return flight, evaluate(policy, scenario, [seed])
+
+
+def draw(flight: Flight, folder: Path, *, animation: bool, bar: Progress) -> list[Path]:
+    """The paper's figures and, if asked for, the animation in `folder`; returns what was written."""
+    from fovconn_env.render.animation import animate
+    from fovconn_env.render.figures import draw_all
+
+    task = bar.add_task("figures", total=None)
+    scenario, gains = flight.scenario, Gains()
+    lambda2 = np.linspace(scenario.lambda2_min + 1e-3, 1.2 * scenario.lambda2_max, 500)
+    pictures = draw_all(flight, folder, potential=(lambda2, potential(lambda2, scenario, gains)))
+    bar.update(task, total=1, completed=1)
+    if animation:
+        task = bar.add_task("animation", total=None)
+        pictures.append(
+            animate(
+                flight,
+                folder / "flight.gif",
+                progress=lambda done, total: bar.update(task, completed=done, total=total),
+            )
+        )
+    return pictures
