@@ -97,8 +97,8 @@ class Scout:
                 return start
         s = self.scenario.start
         raise ValueError(
-            f"Start must allow lambda2 in ({s.lambda2_low:g}, {s.lambda2_high:g}), spacing {s.spacing:g} m and clearance "
-            f"{s.clearance:g} m, found no start in {MAX_TRIES} draws of {self.scenario.n_agents} robots: "
+            f"Start must allow lambda2 in ({s.lambda2_low:g}, {s.lambda2_high:g}), spacing {s.spacing:g} m and "
+            f"clearance {s.clearance:g} m, found no start in {MAX_TRIES} draws of {self.scenario.n_agents} robots: "
             "enlarge Start.box, lower spacing or clearance, widen the lambda2 interval, or use a map with more room"
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
@@ -29,8 +30,9 @@ def draw(flight: Flight, folder: Path, *, animation: bool, bar: Progress) -> lis
 
     task = bar.add_task("figures", total=None)
     scenario, gains = flight.scenario, Gains()
-    lambda2 = np.linspace(scenario.lambda2_min + 1e-3, 1.2 * scenario.lambda2_max, 500)
-    pictures = draw_all(flight, folder, potential=(lambda2, potential(lambda2, scenario, gains)))
+    lambda2 = scenario.lambda2_min + np.geomspace(5e-4, 1.2 * scenario.lambda2_max, 600)
+    curve = lambda2, potential(lambda2, scenario, gains)
+    pictures = draw_all(flight, folder, potential=curve, law=dataclasses.asdict(gains))
     bar.update(task, total=1, completed=1)
     if animation:
         task = bar.add_task("animation", total=None)

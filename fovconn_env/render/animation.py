@@ -58,7 +58,7 @@ class Movie:
         self._point.set_data([flight.time[k]], [flight.lambda2[k]])
         ending = f"   {flight.outcome}" if k == len(flight.time) - 1 else ""
         self._clock.set_text(
-            f"{flight.time[k]:5.1f} s     {self._edges[k]} links     $\\lambda_2$ = {flight.lambda2[k]:.2f}{ending}"
+            f"{flight.time[k]:5.1f} s     {self._edges[k]} links     λ₂ = {flight.lambda2[k]:.2f}{ending}"
         )
         self._canvas.restore_region(self._still)
         for axes, artist in self._moving:

@@ -23,9 +23,8 @@ def write_gif(path: Path, frames: Iterable[np.ndarray], samples: list[np.ndarray
 
 def choose_palette(sample: np.ndarray) -> np.ndarray:
     """255 colours (255, 3) uint8 for images like the sample (H, W, 3): the most frequent, the others by median cut."""
-    colors, counts = np.unique(
-        sample.reshape(-1, 3).astype(np.uint32) @ (1 << np.array([16, 8, 0])), return_counts=True
-    )
+    red, green, blue = np.moveaxis(sample.astype(np.int32), -1, 0)
+    colors, counts = np.unique((red << 16) + (green << 8) + blue, return_counts=True)
     frequent = colors[np.argsort(-counts, kind="stable")[:_FREQUENT]]
     exact = np.stack([frequent >> 16, frequent >> 8 & 255, frequent & 255], axis=-1)
     cut = Image.fromarray(sample).quantize(_SAME - len(exact), Image.Quantize.MEDIANCUT).getpalette() or []
@@ -36,14 +35,27 @@ def choose_palette(sample: np.ndarray) -> np.ndarray:
 
 def _changes(frames: Iterable[np.ndarray], palette: np.ndarray) -> Iterator[Image.Image]:
     """Frames as palette images in which what equals the frame before is transparent."""
-    table, before = _nearest(palette), None
+    table, before, canvas = _nearest(palette), None, np.empty(0, np.uint8)
     for frame in frames:
-        red, green, blue = np.moveaxis(frame >> (8 - _BITS), -1, 0).astype(np.int32)
-        now = table[(red << 2 * _BITS) + (green << _BITS) + blue]
-        image = Image.fromarray(now if before is None else np.where(now == before, np.uint8(_SAME), now))
+        if before is None:
+            canvas = table[_cell(frame)]
+            image = Image.fromarray(canvas.copy())  # it keeps the array, which changes below
+        else:
+            y, x = np.nonzero(np.logical_or.reduce([frame[..., c] != before[..., c] for c in range(3)]))
+            new, old = table[_cell(frame[y, x])], canvas[y, x]
+            fresh = np.full(canvas.shape, _SAME, np.uint8)
+            fresh[y, x] = np.where(new == old, np.uint8(_SAME), new)
+            canvas[y, x] = new
+            image = Image.fromarray(fresh)
         image.putpalette(palette.ravel().tolist())
-        before = now
+        before = frame
         yield image
+
+
+def _cell(colors: np.ndarray) -> np.ndarray:
+    """Index (...,) into the table of colours (..., 3) uint8: their upper bits."""
+    bits = colors.astype(np.int32) >> (8 - _BITS)
+    return (bits[..., 0] << 2 * _BITS) + (bits[..., 1] << _BITS) + bits[..., 2]
 
 
 def _nearest(palette: np.ndarray) -> np.ndarray:
@@ -52,10 +64,7 @@ def _nearest(palette: np.ndarray) -> np.ndarray:
     level = np.arange(0, 256, step, dtype=np.float32) + (step - 1) / 2
     cells = np.stack(np.meshgrid(level, level, level, indexing="ij"), axis=-1).reshape(-1, 3)
     distance = (colors**2).sum(1)  # plus the cell's own square, which does not matter
-    table = np.concatenate([(distance - 2 * part @ colors.T).argmin(1) for part in np.split(cells, 64)]).astype(
-        np.uint8
-    )
-    bits = palette.astype(np.int32) >> (8 - _BITS)
-    own = (bits[:, 0] << 2 * _BITS) + (bits[:, 1] << _BITS) + bits[:, 2]
-    table[own[_FREQUENT - 1 :: -1]] = np.arange(_FREQUENT - 1, -1, -1)  # the most frequent one last
+    nearest = [(distance - 2 * part @ colors.T).argmin(1) for part in np.split(cells, 64)]
+    table = np.concatenate(nearest).astype(np.uint8)
+    table[_cell(palette[_FREQUENT - 1 :: -1])] = np.arange(_FREQUENT - 1, -1, -1)  # the most frequent one last
     return table

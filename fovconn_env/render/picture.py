@@ -44,7 +44,7 @@ class Picture:
         tilts = np.stack([body["roll"], body["pitch"]], axis=-1)
         self._scene.show(poses, tilts, world_stick(simulator), pair["weight"], pair["watch"])
         now = simulator.state.episode[0]
-        self._text.set_text(f"{now['step'] * self._scenario.step_time:.1f} s    $\\lambda_2$ = {now['lambda2']:.2f}")
+        self._text.set_text(f"{now['step'] * self._scenario.step_time:.1f} s    λ₂ = {now['lambda2']:.2f}")
         self._canvas.draw()
         return np.array(self._canvas.buffer_rgba())[..., :3].copy()
 

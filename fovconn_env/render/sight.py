@@ -23,6 +23,14 @@ def regained(classes: np.ndarray, least: int = 1) -> list[int]:
     return [stop for first, stop in runs(classes == NOBODY) if stop < len(classes) and stop - first >= least]
 
 
+def observer(classes: np.ndarray, count: int = 2) -> int:
+    """The robot whose sight of its `busiest` others (classes (T, N, N)) takes most classes; the first of equals."""
+    variety = [
+        sum(len(np.unique(classes[:, i, j])) for j in busiest(classes, i, count)) for i in range(classes.shape[1])
+    ]
+    return int(np.argmax(variety))
+
+
 def busiest(classes: np.ndarray, i: int, count: int = 2) -> list[int]:
     """The robots whose sight from i (classes (T, N, N)) takes most classes, then changes most, in order of number."""
     mine = classes[:, i]

@@ -45,11 +45,11 @@ def draw_connectivity(flight: Flight) -> Figure:
 def draw_relative_yaw(flight: Flight, i: int | None = None, others: Sequence[int] | None = None) -> Figure:
     """Fig. 7: sin((yaw_ij - its estimate) / 2) over time, on the phases of sight; dashed red where they meet again.
 
-    i: the robot that estimates, the leader unless told. others: the robots j, two unless told: those whose sight
-    from i goes through most of the four classes.
+    i: the robot that estimates, others: the robots j, two. Unless told, those whose sight of each other goes through
+    most of the four classes, so that the figure shows what there is to see.
     """
-    i = flight.scenario.leader_index if i is None else i
     classes = sight.sight_class(flight.watch, flight.watch.swapaxes(1, 2))
+    i = sight.observer(classes) if i is None else i
     others = sight.busiest(classes, i) if others is None else others
     figure = style.page(7.5, 1.1 + 1.95 * len(others))
     rows = figure.subplots(len(others), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
