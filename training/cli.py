@@ -111,6 +111,34 @@ def demo(
         out.print(f"  {picture}", highlight=False, soft_wrap=True)
 
 
+@app.command()
+def bench(
+    scenario_name: ScenarioName = "LeaderFollow-v0",
+    batches: Annotated[list[int] | None, typer.Option("--batch", help="Worlds in a batch; repeatable.", min=1)] = None,
+    against: Annotated[list[str] | None, typer.Option(help="Peer to time in the same run (mpe2); repeatable.")] = None,
+    repetitions: Annotated[int, typer.Option(help="Repetitions, cases taking turns.", min=1)] = 7,
+    settings: Settings = None,
+) -> None:
+    """Time the environment: steps a second, medians over repetitions, ratios to the peers."""
+    from training.bench import cases, measure
+
+    chosen = scenario(scenario_name, **_parse(settings))
+    with _progress() as bar:
+        _warm_up(bar, chosen, "expert")
+        task = bar.add_task("timing", total=repetitions)
+        found = cases(chosen, batches or [1, 64, 1024], against or [])
+        timings = measure(found, repetitions, lambda done, total: bar.update(task, completed=done, total=total))
+    table = Table(title=f"steps a second, {chosen.name}, median of {repetitions} (least to most)", title_justify="left")
+    for column in ("case", "environment steps / s", "agent steps / s", "least to most"):
+        table.add_column(column, justify="left" if column == "case" else "right")
+    for timing in timings:
+        spread = f"{timing.least:,.0f} to {timing.most:,.0f}"
+        table.add_row(timing.name, f"{timing.median:,.0f}", f"{timing.median * timing.agents:,.0f}", spread)
+    out.print(table)
+    for peer in timings[len(timings) - len(against or []) :]:
+        out.print(f"parallel_env / {peer.name}: {timings[0].median / peer.median:.1f} times as many", highlight=False)
+
+
 @contextmanager
 def _progress() -> Iterator[Progress]:
     columns = (
