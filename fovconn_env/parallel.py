@@ -122,7 +122,7 @@ class ParallelEnv(pettingzoo.ParallelEnv):
         if self.render_mode is None:
             gymnasium.logger.warn("render() needs a render mode: make the environment with render_mode='rgb_array'")
             return None
-        if not self.simulator.world.n_waypoints[0] and not self.simulator.state.episode["round"][0]:
+        if self.simulator.state.episode["round"][0] == 0:
             raise gymnasium.error.ResetNeeded("render() needs an episode under way: call reset() first")
         if self._picture is None:
             from fovconn_env.render.picture import Picture

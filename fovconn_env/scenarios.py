@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import difflib
 import math
@@ -119,6 +120,8 @@ class Scenario:
                 )
         if not isinstance(self.map, (Map, Forest, type(None))):
             raise TypeError(f"Scenario.map must be a Map, a Forest or None, got {self.map!r}: see fovconn_env.Map")
+        if isinstance(self.map, Map):  # a Map can be added to, a scenario is frozen
+            object.__setattr__(self, "map", copy.copy(self.map))
 
     @property
     def step_time(self) -> float:

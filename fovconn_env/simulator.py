@@ -97,12 +97,10 @@ class Simulator:
         cos_yaw, sin_yaw = turn(body["cos_yaw"], body["sin_yaw"])
         motion = [body[column.name] for column in layout.STATE[5:-1]]
         robots = np.stack([x, y, body["z"] - origin["z"], cos_yaw, sin_yaw, *motion, self.state.fiedler], axis=-1)
-        goal = np.zeros((self.n_worlds, 3))
-        for b, (at, count) in enumerate(zip(episode["waypoint"], self.world.n_waypoints, strict=True)):
-            if count:
-                goal[b] = self.world.waypoint[b, min(at, count - 1)]
-            else:
-                goal[b] = [origin[name][b, 0] for name in "xyz"]
+        here = np.stack([origin[name][:, 0] for name in "xyz"], axis=-1)
+        last = np.maximum(self.world.n_waypoints - 1, 0)
+        goal = self.world.waypoint[np.arange(self.n_worlds), np.minimum(episode["waypoint"], last)]
+        goal = np.where(self.world.n_waypoints[:, None] > 0, goal, here)
         gx, gy = turn(goal[:, :1] - origin["x"], goal[:, 1:2] - origin["y"])
         gz = goal[:, 2] - origin["z"][:, 0]
         stick = [episode[name] for name in ("stick_x", "stick_y", "stick_z")]
