@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from functools import partial
 
+import gymnasium
 import pettingzoo
 
 from fovconn_env.flight import Flight
@@ -59,3 +60,11 @@ if hasattr(pettingzoo, "register"):  # from PettingZoo 1.27 on
     for _name in PRESETS:
         pettingzoo.register("parallel", f"fovconn/{_name}", partial(parallel_env, _name))
         pettingzoo.register("aec", f"fovconn/{_name}", partial(env, _name))
+
+for _name in PRESETS:
+    gymnasium.register(
+        f"fovconn/{_name}",
+        entry_point="fovconn_env.joint:JointEnv",
+        vector_entry_point="fovconn_env.vector:VectorEnv",
+        kwargs={"base": _name},
+    )
