@@ -23,9 +23,9 @@ GAINS = np.dtype((np.record, [(name, "f8") for name in "k_v clamp k_obs d_min_ob
 
 @dataclass(frozen=True, kw_only=True)
 class Gains:
-    """What the paper leaves open (paper-notes 3)."""
+    """What the paper leaves open (docs/decisions.md)."""
 
-    k_v: float = 0.2  # gain of V; 0.05 lost 4 % of the teams, 0.2 0.6 % (docs/decisions.md)
+    k_v: float = 0.2  # gain of V; 0.05 lost 2.7 % of the teams, 0.2 0.6 % (docs/decisions.md)
     clamp: float = 0.02  # lambda2_hat is kept this far above lambda2_min, where V has its asymptote
     k_obs: float = 0.05  # m/s, gain of the repulsion
     d_min_obs: float = 1.0  # m, its asymptote (Table I)
@@ -88,9 +88,11 @@ def maintain(own, neighbors, p, g):
             continue  # without a yaw, a robot that is only seen cannot tell which way to go
         ax, ay, az = tilt(p.axis_x, p.axis_y, p.axis_z, float(row.roll), float(row.pitch))
         c, s = float(row.cos_yaw), float(row.sin_yaw)
-        ojx, ojy = c * ax - s * ay, s * ax + c * ay  # iR_j o_C
+        ojx, ojy, ojz = c * ax - s * ay, s * ax + c * ay, az  # iR_j o_C
         bx, by, bz, distance = float(row.bearing_x), float(row.bearing_y), float(row.bearing_z), float(row.distance)
-        gradient = weight_gradient(bx, by, bz, distance, oix, oiy, oiz, ojx, ojy, az, p.weight, p)  # (12), (13)
+        if row.yaw_valid == 0.0:
+            ojx, ojy, ojz = bx, by, bz  # it looks away: were it mutual view, the yaw would be known
+        gradient = weight_gradient(bx, by, bz, distance, oix, oiy, oiz, ojx, ojy, ojz, p.weight, p)  # (12), (13)
         gx, gy, gz, g_yaw = gradient
         difference = float(own.v2_hat) - float(row.v2_hat)
         scale = -slope * difference * difference

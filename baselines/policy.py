@@ -45,7 +45,7 @@ class Policy(ABC):
         return actions.reshape(*flat.shape[:-1], 4)
 
     def rows(self, flat: np.ndarray) -> Rows:
-        """Record views of flat observations: `rows.own.vx`, `rows.neighbors.f_ij`, ... (see fovconn_env.layout)."""
+        """Record views of flat observations: `own["vx"]`, `neighbors["f_ij"]`, ... (see fovconn_env.layout)."""
         return rows(flat, self.scenario.max_neighbors, self.scenario.max_ranges)
 
 

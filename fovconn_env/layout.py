@@ -87,7 +87,7 @@ MESSAGE = (
     Column("yaw_valid", "0/1", "-", 0.0, 1.0, "1 when that estimate may be used"),
     *(column._replace(frame="sender's yaw", meaning="sender's " + column.meaning) for column in _MOTION),
     Column("x", "-", "-", "-inf", "inf", "power iteration's entry of the eigenvector"),
-    *(Column(f"y{k}", "-", "-", "-inf", "inf", f"consensus estimate {k} (paper-notes: mean of {what})")
+    *(Column(f"y{k}", "-", "-", "-inf", "inf", f"consensus estimate {k}: mean of {what}")
       for k, what in ((1, "x"), (2, "x^2"), (3, "x (Lx)"))),
     *(Column(f"q{k}", "-", "-", "-inf", "inf", f"integral state of consensus {k}") for k in (1, 2, 3)),
     Column("degree", "robots", "-", 0.0, "inf", "links the sender used in its last round"),
@@ -118,7 +118,7 @@ INFO = (
     Column("connected", "0/1", "-", 0.0, 1.0, "true lambda2 > lambda2_min"),
     Column("n_edges", "links", "-", 0.0, "inf", "links with A_ij > 0 in the team"),
     Column("min_distance", "m", "-", 0.0, "inf", "least distance to another robot's centre"),
-    Column("clearance", "m", "-", 0.0, "inf", "least distance to an obstacle (inf where there is none is 1e3)"),
+    Column("clearance", "m", "-", 0.0, "inf", "least distance to an obstacle, 1e3 where there is none"),
     Column("yaw_error", "rad", "-", 0.0, np.pi, "largest error of its valid relative-yaw estimates"),
     Column("success", "0/1", "-", 0.0, 1.0, "the course is finished"),
     Column("collision", "0/1", "-", 0.0, 1.0, "a collision ended the episode"),
@@ -156,7 +156,7 @@ def observation_size(max_neighbors: int, max_ranges: int) -> int:
 
 
 class Rows(NamedTuple):
-    """Record views into flat observations: a write to a field is a write to its column."""
+    """Record views into flat observations, `own["vx"]`; a write to a field is a write to its column."""
 
     own: np.ndarray  # (...,) SELF
     neighbors: np.ndarray  # (..., M) NEIGHBOR

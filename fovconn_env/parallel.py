@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections import OrderedDict
 from typing import Any
 
 import gymnasium
@@ -184,7 +185,8 @@ class ParallelEnv(pettingzoo.ParallelEnv):
         first = len(layout.SELF)
         second = first + self.scenario.max_neighbors * len(layout.NEIGHBOR)
         slices = (slice(0, first), slice(first, second), slice(second, None))
-        return spaces.Dict({part: spaces.Box(low[cut], high[cut]) for part, cut in zip(PARTS, slices, strict=True)})
+        boxes = (spaces.Box(low[cut], high[cut]) for cut in slices)
+        return spaces.Dict(OrderedDict(zip(PARTS, boxes, strict=True)))  # a plain dict would be sorted
 
 
 def parallel_env(base: str | Scenario = "LeaderFollow-v0", /, **settings: Any) -> ParallelEnv:

@@ -47,6 +47,15 @@ def _closest(value: object, words: tuple[str, ...]) -> str:
     return f"did you mean {near[0]!r}?" if near else f"there are {', '.join(words)}"
 
 
+def _replace(settings: Any, changes: dict[str, Any]) -> Any:
+    """Frozen settings with some changed; an unknown name is a `ValueError` with the nearest one."""
+    known = tuple(item.name for item in dataclasses.fields(settings))
+    for name in changes:
+        if name not in known:
+            raise ValueError(f"{type(settings).__name__} has no setting {name!r}: {_closest(name, known)}")
+    return dataclasses.replace(settings, **changes)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
     """Settings of one environment. Every constructor of the package takes one, or its id and the same keywords.
@@ -213,6 +222,7 @@ PRESETS: dict[str, Scenario] = {
 def scenario(base: str | Scenario = "LeaderFollow-v0", /, **changes: Any) -> Scenario:
     """A preset by id (with or without "fovconn/") or a `Scenario`, with settings changed.
 
+    One setting of a group goes by its dotted name: `scenario("LeaderFollow-v0", **{"camera.a_min": 0.5})`.
     Raises `ValueError` for an unknown id or setting, naming the nearest ones there are.
     """
     if isinstance(base, str):
@@ -224,8 +234,10 @@ def scenario(base: str | Scenario = "LeaderFollow-v0", /, **changes: Any) -> Sce
         base = PRESETS[name]
     elif not isinstance(base, Scenario):
         raise TypeError(f"scenario must be an id or a Scenario, got {base!r}")
-    known = tuple(item.name for item in dataclasses.fields(Scenario))
-    for name in changes:
-        if name not in known:
-            raise ValueError(f"Scenario has no setting {name!r}: {_closest(name, known)}")
-    return dataclasses.replace(base, **changes)
+    for name in [name for name in changes if "." in name]:
+        group, _, inner = name.partition(".")
+        if group not in _GROUPS:
+            raise ValueError(f"Scenario has no group {group!r}: {_closest(group, tuple(_GROUPS))}")
+        whole = changes.get(group, getattr(base, group))
+        changes[group] = _replace(whole, {inner: changes.pop(name)})
+    return _replace(base, changes)

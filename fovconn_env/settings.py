@@ -114,7 +114,7 @@ class Radio:
 
 @dataclass(frozen=True, kw_only=True)
 class YawEstimator:
-    """Relative yaw estimator (15)-(21): gains of Table I, thresholds of paper-notes."""
+    """Relative yaw estimator (15)-(21): gains of Table I, thresholds of docs/decisions.md."""
 
     k1: float = 10.0  # 1/s, observer (15)
     k2: float = 10.0  # 1/s, one-way correction (21)
@@ -133,11 +133,11 @@ class YawEstimator:
 
 @dataclass(frozen=True, kw_only=True)
 class PowerIteration:
-    """lambda2 and v2 estimator: gains of the power iteration and of its PI consensus, per message round."""
+    """lambda2 and v2 estimator: gains of the power iteration and of its PI consensus, all per message round."""
 
-    k1: float = 30.0  # 1/s, removes the mean
-    k2: float = 8.0  # 1/s, Laplacian step
-    k3: float = 80.0  # 1/s, keeps the norm
+    k1: float = 0.15  # removes the mean
+    k2: float = 0.04  # Laplacian step
+    k3: float = 0.4  # keeps the norm
     g: float = 0.1  # consensus: pull to the own input
     kp: float = 1.0  # proportional
     ki: float = 0.8  # integral
@@ -207,7 +207,7 @@ class Course:
 
 @dataclass(frozen=True, kw_only=True)
 class Airframe:
-    """Quadrotor: rigid body, rotors and flight controller (paper-notes 6; Lee, Leok, McClamroch, CDC 2010)."""
+    """Quadrotor: rigid body, rotors and flight controller (Lee, Leok, McClamroch, CDC 2010; docs/decisions.md)."""
 
     mass: float = 1.28  # kg
     inertia_xy: float = 0.0229  # kg m^2

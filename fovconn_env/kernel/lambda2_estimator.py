@@ -1,4 +1,4 @@
-"""lambda2 and v2, estimated on board by power iteration over PI consensus: paper-notes 5, after [9] of the paper.
+"""lambda2 and v2, estimated on board by power iteration over PI consensus (docs/decisions.md), after [9] of the paper.
 
 Yang et al., Automatica 2010 (power iteration); Freeman, Yang and Lynch, CDC 2006 (PI consensus). Both ends of a link
 use the values both of them sent in the same round, so that what one adds the other takes away.
@@ -45,7 +45,10 @@ def agree(tracks, said, heard, p):
 
 @kernel
 def power_round(belief, tracks, said, heard, p):
-    """One message round of robot i; all arguments are its own slices, as in `agree`."""
+    """One message round of robot i; all arguments are its own slices, as in `agree`.
+
+    Where messages travel for several rounds it is called once in as many, so that said is what i still holds.
+    """
     lx = m1 = m2 = m3 = n1 = n2 = n3 = degree = 0.0
     n = heard.shape[0]
     for j in range(n):
@@ -65,9 +68,9 @@ def power_round(belief, tracks, said, heard, p):
     belief.q1 -= p.power_ki * m1
     belief.q2 -= p.power_ki * m2
     belief.q3 -= p.power_ki * m3
-    dt, excess = p.round_time, belief.y2 - 1.0
-    x_next = (x - dt * (p.power_k1 * belief.y1 + p.power_k2 * lx)) / (1.0 + dt * p.power_k3 * max(excess, 0.0))
-    belief.x = x_next - dt * p.power_k3 * min(excess, 0.0) * x
+    excess = belief.y2 - 1.0
+    x_next = (x - p.power_k1 * belief.y1 - p.power_k2 * lx) / (1.0 + p.power_k3 * max(excess, 0.0))
+    belief.x = x_next - p.power_k3 * min(excess, 0.0) * x
     size = max(belief.y2, 1e-6)
     belief.lambda2_hat = min(max(belief.y3 / size, 0.0), float(n))  # Rayleigh quotient
     belief.v2_hat = belief.x / math.sqrt(n * size)

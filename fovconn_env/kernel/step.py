@@ -17,7 +17,7 @@ from fovconn_env.kernel.observe import clip, observe_neighbors, observe_self
 from fovconn_env.kernel.quadrotor import fly, hover
 from fovconn_env.kernel.radio import exchange, speak, transmit
 from fovconn_env.kernel.rangefinder import scan
-from fovconn_env.kernel.steer import steer
+from fovconn_env.kernel.steer import NOBODY, steer
 from fovconn_env.kernel.yaw_estimator import attend, estimate_yaw
 
 ADVANCE, BEGIN = range(2)
@@ -63,7 +63,7 @@ def run(task, state, world, params, actions, mask, warm_ticks, first, last):
             for _ in range(p.rounds):
                 mail = state.mail[b, episode.round % state.mail.shape[1]]
                 exchange(mail, inboxes, p)
-                estimate_lambda2(beliefs, tracks, mail, inboxes, p)
+                estimate_lambda2(beliefs, tracks, mail, inboxes, episode.round % state.mail.shape[1] == 0, p)
                 write(mail, own, tracks, beliefs)
                 transmit(mail, pairs, infos, episode.key, episode.round, p)
                 episode.round += 1
@@ -94,7 +94,8 @@ def start(bodies, flights, inboxes, tracks, beliefs, key, p):
             hover(bodies[i], flights[i], p)
         else:
             stand(bodies[i], p)
-        awaken(beliefs[i], 2.0 * random.uniform(random.draw(key, 0, i, random.START)) - 1.0)
+        if p.lambda2 == lambda2_estimator.POWER:
+            awaken(beliefs[i], 2.0 * random.uniform(random.draw(key, 0, i, random.START)) - 1.0)
         for j in range(n):
             inboxes[i, j].age = p.memory
             tracks[i, j].cos_yaw = tracks[i, j].cos_used = 1.0
@@ -142,11 +143,11 @@ def sense(bodies, pairs, own, sights, tracks, episode, p):
 
 
 @kernel
-def estimate_lambda2(beliefs, tracks, mail, inboxes, p):
-    """On board of every robot: link weights, and one round of the power iteration."""
+def estimate_lambda2(beliefs, tracks, mail, inboxes, due, p):
+    """On board of every robot: link weights and, when it is due, one round of the power iteration."""
     for i in range(beliefs.shape[0]):
         agree(tracks[i], mail[i], inboxes[i], p)
-        if p.lambda2 == lambda2_estimator.POWER:
+        if due and p.lambda2 == lambda2_estimator.POWER:
             power_round(beliefs[i], tracks[i], mail[i], inboxes[i], p)
 
 
@@ -193,7 +194,8 @@ def override_yaw(bodies, tracks, p):
 def observe(bodies, own, tracks, inboxes, beliefs, own_rows, neighbor_rows, infos, episode, p):
     """Write what every robot has on board into its observation."""
     for i in range(bodies.shape[0]):
-        observe_self(own_rows[i], own[i], beliefs[i], i == p.leader_index, episode)
+        leads = i == p.leader_index and p.leader != NOBODY
+        observe_self(own_rows[i], own[i], beliefs[i], leads, episode)
         infos[i].neighbors_dropped = observe_neighbors(neighbor_rows[i], tracks[i], inboxes[i], beliefs[i], p)
 
 

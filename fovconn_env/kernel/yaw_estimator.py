@@ -13,6 +13,7 @@ from fovconn_env.kernel.weights import range_weight, rise, sight_weight
 
 ESTIMATED, TRUE, NONE = range(3)  # scenarios.SWITCHES["relative_yaw"]
 LEVEL = 0.1  # a line of sight steeper than this horizontal share tells nothing about yaw
+RELIABLE = 0.5  # of the gain in (21): from here on its value is taken as it is
 
 
 @kernel
@@ -77,7 +78,7 @@ def estimate_yaw(track, sight, own, heard, p):
 
     if not track.valid and mutual:
         track.cos_yaw, track.sin_yaw, track.valid = cos_direct, sin_direct, True
-    elif not track.valid and gain > 0.0:  # the first reliable value, at once
+    elif not track.valid and gain >= RELIABLE:  # the first reliable value, at once
         track.cos_yaw, track.sin_yaw, track.valid = cos_hat / norm, sin_hat / norm, True
     else:
         c, s = track.cos_yaw, track.sin_yaw
