@@ -31,7 +31,7 @@ class Gains:
     d_min_obs: float = 1.0  # m, its asymptote (Table I)
     d_max_obs: float = 3.5  # m, where it ends (Table I)
     closest: float = 1.02  # m, distances are kept above this
-    excite: float = 0.15  # m/s, see `excite`; 0 switches it off
+    excite: float = 0.2  # m/s, see `excite`; 0 switches it off
 
     def __post_init__(self) -> None:
         check_numbers(self, above="k_v clamp k_obs d_min_obs d_max_obs closest", at_least="excite")

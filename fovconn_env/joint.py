@@ -47,7 +47,7 @@ class JointEnv(gymnasium.Env):
         """Start an episode; options: "poses", (N, 4), as in the PettingZoo environment."""
         super().reset(seed=seed)
         poses = (options or {}).get("poses")
-        self.simulator.reset(seed, poses=None if poses is None else np.asarray(poses, np.float64))
+        self.simulator.reset(seed, poses=poses)
         return self.simulator.observations[0].copy(), self._info()
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:

@@ -99,6 +99,15 @@ class Map:
             least = np.minimum(least, outside + np.minimum(np.maximum(side, level), 0.0))
         return least
 
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Map):
+            return NotImplemented
+        mine, its = self.flatten(), other.flatten()
+        return all(np.array_equal(a, b) for a, b in zip(mine, its, strict=True))
+
+    def __hash__(self) -> int:
+        return hash(Map)  # a map can be added to: equal maps must stay equal
+
     def __copy__(self) -> Self:
         return copy.deepcopy(self)  # a shared space would let the copy add obstacles to the original
 

@@ -10,10 +10,12 @@ import gymnasium
 import numpy as np
 import pettingzoo
 from gymnasium import spaces
-from pettingzoo.utils import parallel_to_aec, wrappers
+from pettingzoo.utils import parallel_to_aec
+from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 
 from fovconn_env import layout
 from fovconn_env.scenarios import Scenario, scenario
+from fovconn_env.settings import as_numbers
 from fovconn_env.simulator import Simulator
 
 PARTS = ("self", "neighbors", "ranges")
@@ -65,8 +67,8 @@ class ParallelEnv(pettingzoo.ParallelEnv):
 
     @max_cycles.setter
     def max_cycles(self, value: int) -> None:
-        if value < 1:
-            raise ValueError(f"max_cycles must be at least 1, got {value}: it counts steps")
+        if value < 1 or value != int(value):
+            raise ValueError(f"max_cycles must be a whole number, at least 1, got {value}: it counts steps")
         self.simulator.max_cycles = int(value)
 
     def observation_space(self, agent: str) -> spaces.Space:
@@ -84,7 +86,7 @@ class ParallelEnv(pettingzoo.ParallelEnv):
         Raises `ValueError` for poses of a wrong shape or that collide; the episode under way is then untouched.
         """
         poses = (options or {}).get("poses")
-        self.simulator.reset(seed, poses=None if poses is None else np.asarray(poses, np.float64))
+        self.simulator.reset(seed, poses=poses)
         self.agents = list(self.possible_agents)
         return self._observations(), self._infos()
 
@@ -123,7 +125,7 @@ class ParallelEnv(pettingzoo.ParallelEnv):
         if self.render_mode is None:
             gymnasium.logger.warn("render() needs a render mode: make the environment with render_mode='rgb_array'")
             return None
-        if self.simulator.state.episode["round"][0] == 0:
+        if self.simulator.state.episode["n_rounds"][0] == 0:
             raise gymnasium.error.ResetNeeded("render() needs an episode under way: call reset() first")
         if self._picture is None:
             from fovconn_env.render.picture import Picture
@@ -149,7 +151,7 @@ class ParallelEnv(pettingzoo.ParallelEnv):
         for row, agent in zip(rows, self.agents, strict=True):
             if agent not in actions:
                 raise ValueError(f"actions must hold every agent, got none for {agent}: all robots act in every step")
-            action = np.asarray(actions[agent])
+            action = as_numbers(f"action of {agent}", actions[agent])
             if action.shape != row.shape:
                 raise ValueError(
                     f"action of {agent} must have the shape {row.shape}, got {action.shape}: vx vy vz yaw_rate"
@@ -199,9 +201,9 @@ def parallel_env(base: str | Scenario = "LeaderFollow-v0", /, **settings: Any) -
 
 def env(base: str | Scenario = "LeaderFollow-v0", /, **settings: Any) -> pettingzoo.AECEnv:
     """The same environment as a PettingZoo AEC environment, robots taking turns within a step."""
-    return wrappers.OrderEnforcingWrapper(raw_env(base, **settings))
+    return parallel_to_aec(parallel_env(base, **settings))
 
 
 def raw_env(base: str | Scenario = "LeaderFollow-v0", /, **settings: Any) -> pettingzoo.AECEnv:
     """`env` without the wrapper that enforces the order of calls."""
-    return parallel_to_aec(parallel_env(base, **settings))
+    return parallel_to_aec_wrapper(parallel_env(base, **settings))

@@ -42,9 +42,31 @@ SWITCHES: dict[str, tuple[str, ...]] = {
 _PREFIXED = ("yaw", "power", "reward")  # groups whose fields carry the group's name in Params
 
 
+_GROUPS: dict[str, type] = {
+    "clock": Clock,
+    "camera": Camera,
+    "rangefinder": Rangefinder,
+    "radio": Radio,
+    "yaw": YawEstimator,
+    "power": PowerIteration,
+    "noise": Noise,
+    "airframe": Airframe,
+    "start": Start,
+    "course": Course,
+    "reward": Reward,
+}
+
+
 def _closest(value: object, words: tuple[str, ...]) -> str:
     near = difflib.get_close_matches(str(value), words, n=1, cutoff=0.4)
     return f"did you mean {near[0]!r}?" if near else f"there are {', '.join(words)}"
+
+
+def _check_group(name: str, value: object) -> None:
+    kind = _GROUPS[name]
+    if not isinstance(value, kind):
+        hint = f"write {name}={kind.__name__}(...)"
+        raise TypeError(f"Scenario.{name} must be a {kind.__name__}, got {value!r}: {hint}")
 
 
 def _replace(settings: Any, changes: dict[str, Any]) -> Any:
@@ -98,6 +120,8 @@ class Scenario:
     map: Map | Forest | None = None  # obstacles: given, drawn at random, or none
 
     def __post_init__(self) -> None:
+        for name in _GROUPS:
+            _check_group(name, getattr(self, name))
         for name, words in SWITCHES.items():
             value = getattr(self, name)
             rule(value in words, f"Scenario.{name}", "one of " + ", ".join(words), value, _closest(value, words))
@@ -114,6 +138,7 @@ class Scenario:
             above="speed_limit yaw_rate_limit stick_speed max_neighbors max_ranges max_cycles lambda2_max "
             "collision_robot collision_obstacle",
             at_least="warmup lambda2_min patience",
+            infinite="patience",
         )
         hint = "lambda2_min is where the team counts as split, lambda2_max where more links stop to matter"
         below = self.lambda2_min < self.lambda2_max
@@ -121,12 +146,6 @@ class Scenario:
         hint = "robots would collide before they may meet"
         apart = self.start.spacing > self.collision_robot
         rule(apart, "Start.spacing", f"above collision_robot ({self.collision_robot:g})", self.start.spacing, hint)
-        for name, kind in _GROUPS.items():
-            value = getattr(self, name)
-            if not isinstance(value, kind):
-                raise TypeError(
-                    f"Scenario.{name} must be a {kind.__name__}, got {value!r}: write {name}={kind.__name__}(...)"
-                )
         if not isinstance(self.map, (Map, Forest, type(None))):
             raise TypeError(f"Scenario.map must be a Map, a Forest or None, got {self.map!r}: see fovconn_env.Map")
         if isinstance(self.map, Map):  # a Map can be added to, a scenario is frozen
@@ -156,7 +175,7 @@ class Scenario:
             "distance": self.camera.d_max,
             "range": self.rangefinder.range_max,
             "lambda2": float(self.n_agents),
-            "age": self.radio.memory,
+            "age": self.radio.memory + self.radio.delay * self.clock.tick / self.clock.rounds,
             "world": 1000.0,
             "inf": math.inf,
         }
@@ -165,7 +184,8 @@ class Scenario:
         """The settings as the kernels read them: one PARAMS record, (1,)."""
         clock, axis = self.clock, self.camera.unit_axis
         values: dict[str, Any] = {name: words.index(getattr(self, name)) for name, words in SWITCHES.items()}
-        values |= {"round_time": clock.tick / clock.rounds, "step_time": self.step_time}
+        round_time = clock.tick / clock.rounds
+        values |= {"round_time": round_time, "travel_time": self.radio.delay * round_time, "step_time": self.step_time}
         values |= dict(zip(("axis_x", "axis_y", "axis_z"), axis, strict=True))
         for item in dataclasses.fields(self):
             value = getattr(self, item.name)
@@ -179,20 +199,6 @@ class Scenario:
             record[name] = values[name]
         return record
 
-
-_GROUPS: dict[str, type] = {
-    "clock": Clock,
-    "camera": Camera,
-    "rangefinder": Rangefinder,
-    "radio": Radio,
-    "yaw": YawEstimator,
-    "power": PowerIteration,
-    "noise": Noise,
-    "airframe": Airframe,
-    "start": Start,
-    "course": Course,
-    "reward": Reward,
-}
 
 PRESETS: dict[str, Scenario] = {
     preset.name: preset
@@ -234,10 +240,14 @@ def scenario(base: str | Scenario = "LeaderFollow-v0", /, **changes: Any) -> Sce
         base = PRESETS[name]
     elif not isinstance(base, Scenario):
         raise TypeError(f"scenario must be an id or a Scenario, got {base!r}")
+    inner: dict[str, dict[str, Any]] = {}
     for name in [name for name in changes if "." in name]:
-        group, _, inner = name.partition(".")
+        group, _, field_name = name.partition(".")
         if group not in _GROUPS:
             raise ValueError(f"Scenario has no group {group!r}: {_closest(group, tuple(_GROUPS))}")
+        inner.setdefault(group, {})[field_name] = changes.pop(name)
+    for group, part in inner.items():
         whole = changes.get(group, getattr(base, group))
-        changes[group] = _replace(whole, {inner: changes.pop(name)})
+        _check_group(group, whole)
+        changes[group] = _replace(whole, part)
     return _replace(base, changes)

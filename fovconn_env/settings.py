@@ -8,8 +8,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import numbers
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 
 def rule(holds: bool, field: str, says: str, value: object, hint: str) -> None:
@@ -18,17 +21,30 @@ def rule(holds: bool, field: str, says: str, value: object, hint: str) -> None:
         raise ValueError(f"{field} must be {says}, got {value!r}: {hint}")
 
 
-def check_numbers(group: Any, *, above: str = "", at_least: str = "", share: str = "") -> None:
-    """Check the named fields of a settings group: `above` 0, `at_least` 0, or a `share` in [0, 1]; all finite."""
+def as_numbers(field: str, value: Any) -> np.ndarray:
+    """`value` as a float64 array; `ValueError` that names the field if it does not read as one."""
+    try:
+        return np.asarray(value, np.float64)
+    except (TypeError, ValueError) as problem:
+        raise ValueError(f"{field} must be an array of numbers, got {value!r}: {problem}") from None
+
+
+def check_numbers(group: Any, *, above: str = "", at_least: str = "", share: str = "", infinite: str = "") -> None:
+    """Check the named fields of a settings group: `above` 0, `at_least` 0, or a `share` in [0, 1].
+
+    All are finite numbers but those named `infinite`.
+    """
     kinds = {**dict.fromkeys(above.split(), 0), **dict.fromkeys(at_least.split(), 1), **dict.fromkeys(share.split(), 2)}
     for field in dataclasses.fields(group):
         value, name = getattr(group, field.name), f"{type(group).__name__}.{field.name}"
         kind = kinds.get(field.name)
         if kind is None:
             continue
-        number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if not (number and not math.isnan(value)):
+        if not isinstance(value, numbers.Real) or isinstance(value, bool):
             raise TypeError(f"{name} must be a number, got {value!r}: check the setting's type")
+        value = float(value)
+        finite = math.isfinite(value) or (field.name in infinite.split() and not math.isnan(value))
+        rule(finite, name, "finite", value, "nothing can be computed with it")
         rule(kind != 0 or value > 0, name, "above 0", value, "a size, rate or gain that is zero switches physics off")
         rule(kind != 1 or value >= 0, name, "at least 0", value, "0 switches it off")
         rule(kind != 2 or 0 <= value <= 1, name, "in [0, 1]", value, "it is a share of all messages or sights")
@@ -176,7 +192,7 @@ class Start:
     lambda2_high: float = math.inf
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="spacing lambda2_high", at_least="clearance lambda2_low")
+        check_numbers(self, above="spacing lambda2_high", at_least="clearance lambda2_low", infinite="lambda2_high")
         fine = len(self.box) == 3 and all(side > 0 and math.isfinite(side) for side in self.box)
         rule(fine, "Start.box", "three positive sides", self.box, "metres")
         hint = "starts are drawn until lambda2 lies between them"

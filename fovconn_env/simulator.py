@@ -13,6 +13,7 @@ import numpy as np
 from fovconn_env import layout
 from fovconn_env.kernel import step
 from fovconn_env.scenarios import Scenario
+from fovconn_env.settings import as_numbers
 from fovconn_env.world import NO_ACTIONS, NO_MASK, Scout, Start, allocate, place
 
 WORLDS_PER_THREAD = 16  # fewer are not worth a thread
@@ -32,6 +33,8 @@ class Simulator:
     def __init__(self, scenario: Scenario, n_worlds: int = 1, *, n_threads: int | None = None) -> None:
         if n_worlds < 1:
             raise ValueError(f"n_worlds must be at least 1, got {n_worlds}: a batch holds worlds")
+        if n_threads is not None and n_threads < 1:
+            raise ValueError(f"n_threads must be at least 1, got {n_threads}: leave it out for one a core")
         self.scenario, self.n_worlds = scenario, n_worlds
         self.max_cycles = scenario.max_cycles
         self.params = np.repeat(scenario.params(), n_worlds)
@@ -151,7 +154,7 @@ class Simulator:
         Worlds whose episode is over stay as they are. Raises `ValueError` for a wrong shape or NaN, naming world and
         robot, before anything moves.
         """
-        actions = np.asarray(actions, np.float64)
+        actions = as_numbers("actions", actions)
         shape = (self.n_worlds, self.scenario.n_agents, 4)
         if actions.shape != shape:
             raise ValueError(
@@ -168,10 +171,12 @@ class Simulator:
     def _seeds(self, seed: int | Sequence[int] | None) -> list[int] | None:
         if seed is None:
             return None
-        seeds = [seed + b for b in range(self.n_worlds)] if isinstance(seed, (int, np.integer)) else list(seed)
-        if len(seeds) != self.n_worlds or any(s < 0 for s in seeds):
+        whole = (int, np.integer)
+        seeds = [seed + b for b in range(self.n_worlds)] if isinstance(seed, whole) else seed
+        fine = isinstance(seeds, Sequence) and len(seeds) == self.n_worlds
+        if not fine or not all(isinstance(s, whole) and s >= 0 for s in seeds):
             raise ValueError(
-                f"seed must be a number or {self.n_worlds} numbers, none below 0, got {seed!r}: one a world"
+                f"seed must be a number or {self.n_worlds} numbers, whole and none below 0, got {seed!r}: one a world"
             )
         return [int(s) for s in seeds]
 

@@ -54,7 +54,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
             mask = np.asarray(mask)
             if mask.dtype != bool or not mask.any():
                 raise ValueError(f"options['reset_mask'] must be bool with one True at least, got {mask!r}: (B,)")
-        self.simulator.reset(seed, mask=mask, poses=None if poses is None else np.asarray(poses, np.float64))
+        self.simulator.reset(seed, mask=mask, poses=poses)
         return self.simulator.observations.copy(), self._infos()
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
@@ -70,7 +70,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
                 f"step() needs every world under way, but world {int(over.argmax())} has ended: reset it with "
                 "options={'reset_mask': terminations | truncations}"
             )
-        if over.all() and not simulator.state.episode["round"].any():
+        if over.all() and not simulator.state.episode["n_rounds"].any():
             raise gymnasium.error.ResetNeeded("step() needs episodes under way: call reset() first")
         simulator.step(actions)
         if over.any():  # NEXT_STEP: those that ended in the call before

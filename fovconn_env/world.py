@@ -14,6 +14,7 @@ from fovconn_env import layout
 from fovconn_env.kernel import step, types
 from fovconn_env.maps import Forest, Map
 from fovconn_env.scenarios import Scenario
+from fovconn_env.settings import as_numbers
 
 MAX_TRIES = 2000  # starts drawn before giving up
 MAX_MAPS = 20  # random maps drawn before giving up
@@ -194,7 +195,7 @@ def place(bodies: np.ndarray, poses: np.ndarray) -> None:
 
 def check_poses(poses: np.ndarray, scenario: Scenario) -> np.ndarray:
     """Given start poses as an (N, 4) float64 array; `ValueError` for a wrong shape, NaN, or robots that overlap."""
-    poses = np.asarray(poses, dtype=np.float64)
+    poses = as_numbers("poses", poses)
     n = scenario.n_agents
     if poses.shape != (n, 4):
         raise ValueError(f"poses must have the shape ({n}, 4), got {poses.shape}: one row x, y, z, yaw per robot")

@@ -218,6 +218,7 @@ def _parse(settings: list[str] | None) -> dict[str, Any]:
 def _check_writable(file: Path) -> None:
     if file.is_dir() or not file.parent.is_dir():
         raise ValueError(f"--json must name a file in an existing folder, got {str(file)!r}: make the folder first")
+    file.touch()  # fails now rather than after the flights
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import platform
 import time
@@ -13,7 +14,7 @@ from scipy import stats
 
 import fovconn_env
 from baselines import load_policy
-from fovconn_env import Scenario, Simulator
+from fovconn_env import Map, Scenario, Simulator
 from fovconn_env.metrics import Meter, Samples
 
 BATCH = 256  # worlds flown at once
@@ -85,6 +86,7 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
     return {
         "policy": evaluation.policy,
         "scenario": evaluation.scenario.name,
+        "settings": _plain(evaluation.scenario),
         "fovconn_env": fovconn_env.__version__,
         "seeds": evaluation.seeds,
         "summary": {name: _clean(value) for name, value in summary(evaluation).items()},
@@ -97,6 +99,16 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
             "machine": platform.machine(),
         },
     }
+
+
+def _plain(settings: Any) -> Any:
+    """Settings as JSON-ready values; a map of the user's own as its pieces."""
+    if isinstance(settings, Map):
+        pieces, vertices = settings.flatten()
+        return {"pieces": pieces.tolist(), "vertices": vertices.tolist()}
+    if dataclasses.is_dataclass(settings):
+        return {item.name: _plain(getattr(settings, item.name)) for item in dataclasses.fields(settings)}
+    return _clean(settings.item() if isinstance(settings, np.generic) else settings)
 
 
 def _clean(value: Any) -> Any:

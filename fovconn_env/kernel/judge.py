@@ -59,10 +59,10 @@ def end(episode, arrived, p):
     episode.split = 0.0 if connected else episode.split + dt
     if p.leader == NOBODY:
         episode.held = episode.held + dt if episode.lambda2 >= p.goal_lambda2 else 0.0
-        episode.success = episode.held >= p.goal_hold - 1e-9
+        episode.success = episode.held > 0.0 and episode.held >= p.goal_hold - 1e-9
     else:
         episode.success = arrived
-    episode.disconnected = episode.split > p.patience
+    episode.disconnected = episode.split > p.patience + 1e-9
     episode.success = episode.success and connected and not episode.collision
     episode.terminated = episode.collision or episode.disconnected or episode.success
     episode.truncated = episode.step >= episode.max_steps and not episode.terminated
@@ -70,7 +70,7 @@ def end(episode, arrived, p):
 
 
 @kernel
-def reward(bodies, infos, rewards, range_rows, actions, episode, stick_x, stick_y, stick_z, p):
+def reward(bodies, infos, rewards, actions, episode, stick_x, stick_y, stick_z, p):
     """Named reward terms of every robot and their sum. Running terms are rates times the step, stick: last step's."""
     lead, dt = bodies[p.leader_index], p.step_time
     margin = (episode.lambda2 - p.lambda2_min) / (p.lambda2_max - p.lambda2_min)
@@ -85,7 +85,7 @@ def reward(bodies, infos, rewards, range_rows, actions, episode, stick_x, stick_
             effort += share * share
         info.reward_connectivity = p.reward_connectivity * dt * min(max(margin, 0.0), 1.0)
         info.reward_progress = p.reward_progress * dt * along / (p.stick_speed * p.stick_speed) if pushed > 0.0 else 0.0
-        info.reward_proximity = -p.reward_proximity * dt * crowding(range_rows[i], p)
+        info.reward_proximity = -p.reward_proximity * dt * crowding(bodies[i], p)
         info.reward_effort = -p.reward_effort * dt * effort
         info.reward_success = p.reward_success if episode.success else 0.0
         info.reward_collision = -p.reward_collision if episode.collision else 0.0
@@ -95,14 +95,10 @@ def reward(bodies, infos, rewards, range_rows, actions, episode, stick_x, stick_
 
 
 @kernel
-def crowding(rows, p):
-    """How much closer than `near` the nearest range point is, squared, 0 to 1."""
-    row = rows[0]
-    if row.present == 0.0:
-        return 0.0
-    x, y, z = float(row.x), float(row.y), float(row.z)
-    distance = math.sqrt(x * x + y * y + z * z)
-    return max(1.0 - distance / p.reward_near, 0.0) ** 2
+def crowding(body, p):
+    """How much closer than `near` the nearest surface is, squared, 0 to 1."""
+    distance = min(body.nearest - 0.5 * p.collision_robot, body.clearance)
+    return min(max(1.0 - distance / p.reward_near, 0.0), 1.0) ** 2
 
 
 @kernel

@@ -12,6 +12,7 @@ from fovconn_env.kernel.jit import kernel
 from fovconn_env.kernel.weights import view_weight
 
 POWER, TRUE, NONE = range(3)  # scenarios.SWITCHES["lambda2"]
+LIMIT = 1e4
 
 
 @kernel
@@ -21,6 +22,12 @@ def awaken(belief, x):
     belief.y2 = x * x
     belief.y3 = belief.q1 = belief.q2 = belief.q3 = belief.degree = 0.0
     belief.lambda2_hat = belief.v2_hat = 0.0
+
+
+@kernel
+def bounded(value):
+    """A state kept finite, far outside its working range of about N: with most messages lost the sums run away."""
+    return min(max(value, -LIMIT), LIMIT)
 
 
 @kernel
@@ -62,15 +69,16 @@ def power_round(belief, tracks, said, heard, p):
         n1, n2, n3 = n1 + w * (s.q1 - h.q1), n2 + w * (s.q2 - h.q2), n3 + w * (s.q3 - h.q3)  # (M q)_i
     x = belief.x
     belief.degree = degree
-    belief.y1 += p.power_g * (x - belief.y1) - p.power_kp * m1 + p.power_ki * n1  # mean of x
-    belief.y2 += p.power_g * (x * x - belief.y2) - p.power_kp * m2 + p.power_ki * n2  # mean of x^2
-    belief.y3 += p.power_g * (x * lx - belief.y3) - p.power_kp * m3 + p.power_ki * n3  # mean of x (L x)
-    belief.q1 -= p.power_ki * m1
-    belief.q2 -= p.power_ki * m2
-    belief.q3 -= p.power_ki * m3
+    g, kp, ki = p.power_g, p.power_kp, p.power_ki
+    belief.y1 = bounded(belief.y1 + g * (x - belief.y1) - kp * m1 + ki * n1)  # mean of x
+    belief.y2 = bounded(belief.y2 + g * (x * x - belief.y2) - kp * m2 + ki * n2)  # mean of x^2
+    belief.y3 = bounded(belief.y3 + g * (x * lx - belief.y3) - kp * m3 + ki * n3)  # mean of x (L x)
+    belief.q1 = bounded(belief.q1 - ki * m1)
+    belief.q2 = bounded(belief.q2 - ki * m2)
+    belief.q3 = bounded(belief.q3 - ki * m3)
     excess = belief.y2 - 1.0
     x_next = (x - p.power_k1 * belief.y1 - p.power_k2 * lx) / (1.0 + p.power_k3 * max(excess, 0.0))
-    belief.x = x_next - p.power_k3 * min(excess, 0.0) * x
+    belief.x = bounded(x_next - p.power_k3 * min(excess, 0.0) * x)
     size = max(belief.y2, 1e-6)
     belief.lambda2_hat = min(max(belief.y3 / size, 0.0), float(n))  # Rayleigh quotient
     belief.v2_hat = belief.x / math.sqrt(n * size)

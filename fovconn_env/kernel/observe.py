@@ -40,7 +40,7 @@ def observe_neighbors(rows, tracks, heard, belief, p):
             _clear(rows[k])
             continue
         last, last_distance = nearest, least
-        _describe(rows[k], tracks[nearest], heard[nearest], belief, n)
+        _describe(rows[k], tracks[nearest], heard[nearest], belief, n, p)
     return max(present - rows.shape[0], 0)
 
 
@@ -53,7 +53,7 @@ def clip(flat, low, high):
 
 
 @kernel
-def _describe(row, track, heard, belief, n):
+def _describe(row, track, heard, belief, n, p):
     row.present = 1.0
     row.f_ij, row.f_ji = track.f, heard.f
     c, s = track.cos_used, track.sin_used
@@ -72,7 +72,7 @@ def _describe(row, track, heard, belief, n):
     size = max(belief.y2, 1e-6)
     row.v2_hat = heard.x / math.sqrt(n * size)  # on my own scale, so that differences stay true
     row.lambda2_hat = heard.y3 / max(heard.y2, 1e-6)
-    row.weight, row.age = track.weight, heard.age
+    row.weight, row.age = track.weight, heard.age + p.travel_time
 
 
 @kernel

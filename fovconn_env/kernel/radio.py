@@ -34,7 +34,7 @@ def speak(letters, own, tracks, belief):
     """Write robot i's messages to everyone, from what i has on board; all arguments are i's own slices."""
     for j in range(letters.shape[0]):
         letter, track = letters[j], tracks[j]
-        letter.seen = 1.0 if track.f > 0.0 else 0.0
+        letter.seen = 1.0 if track.held else 0.0
         letter.px, letter.py, letter.pz = track.x * letter.seen, track.y * letter.seen, track.z * letter.seen
         letter.gamma, letter.f = track.gamma, track.f
         letter.cos_yaw, letter.sin_yaw, letter.yaw_valid = track.cos_yaw, track.sin_yaw, 1.0 if track.valid else 0.0

@@ -61,27 +61,28 @@ def run(task, state, world, params, actions, mask, warm_ticks, first, last):
                     reveal_lambda2(beliefs, episode.lambda2, v2)
             sense(bodies, pairs, own, sights, tracks, episode, p)
             for _ in range(p.rounds):
-                mail = state.mail[b, episode.round % state.mail.shape[1]]
+                mail = state.mail[b, episode.n_rounds % state.mail.shape[1]]
                 exchange(mail, inboxes, p)
-                estimate_lambda2(beliefs, tracks, mail, inboxes, episode.round % state.mail.shape[1] == 0, p)
+                estimate_lambda2(beliefs, tracks, mail, inboxes, episode.n_rounds % state.mail.shape[1] == 0, p)
                 write(mail, own, tracks, beliefs)
-                transmit(mail, pairs, infos, episode.key, episode.round, p)
-                episode.round += 1
+                transmit(mail, pairs, infos, episode.key, episode.n_rounds, p)
+                episode.n_rounds += 1
             orient(tracks, sights, own, inboxes, p)
             if p.relative_yaw != yaw_estimator.ESTIMATED:
                 override_yaw(bodies, tracks, p)
 
         if task == ADVANCE:
             episode.step += 1
+        else:
+            for i in range(infos.shape[0]):
+                infos[i].bytes_sent = 0.0  # the warm-up's
         arrived = steer(bodies[p.leader_index], world.waypoint[b], world.n_waypoints[b], episode, p)
         observe(bodies, own, tracks, inboxes, beliefs, state.own_row[b], state.neighbor_row[b], infos, episode, p)
         measure(bodies, piece, vertex, state.range_row[b], episode, p)
         clip(state.flat[b], world.low, world.high)
         if task == ADVANCE:
             end(episode, arrived, p)
-            reward(
-                bodies, infos, state.reward[b], state.range_row[b], actions[b], episode, stick_x, stick_y, stick_z, p
-            )
+            reward(bodies, infos, state.reward[b], actions[b], episode, stick_x, stick_y, stick_z, p)
         tell(bodies, tracks, beliefs, infos, episode, p)
 
 
@@ -114,7 +115,7 @@ def move(bodies, flights, episode, p):
     """Move every robot by one tick along its command."""
     for i in range(bodies.shape[0]):
         if p.dynamics == QUADROTOR:
-            fly(bodies[i], flights[i], p, episode.key, episode.round, i)
+            fly(bodies[i], flights[i], p, episode.key, episode.n_rounds, i)
         else:
             glide(bodies[i], p)
 
@@ -134,9 +135,9 @@ def sense(bodies, pairs, own, sights, tracks, episode, p):
     """Odometry, IMU and camera of every robot."""
     n = bodies.shape[0]
     for i in range(n):
-        feel(bodies[i], own[i], i, episode.key, episode.round, p)
+        feel(bodies[i], own[i], i, episode.key, episode.n_rounds, p)
     for i in range(n):
-        see(bodies, pairs, own[i], sights[i], i, episode.key, episode.round, p)
+        see(bodies, pairs, own[i], sights[i], i, episode.key, episode.n_rounds, p)
         for j in range(n):
             if j != i:
                 attend(tracks[i, j], sights[i, j], own[i], p)
@@ -203,4 +204,4 @@ def observe(bodies, own, tracks, inboxes, beliefs, own_rows, neighbor_rows, info
 def measure(bodies, piece, vertex, range_rows, episode, p):
     """Write every robot's range points into its observation."""
     for i in range(bodies.shape[0]):
-        scan(bodies, i, piece, vertex, range_rows[i], episode.key, episode.round, p)
+        scan(bodies, i, piece, vertex, range_rows[i], episode.key, episode.n_rounds, p)

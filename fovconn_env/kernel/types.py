@@ -33,6 +33,7 @@ PARAMS = _record(
         ("ticks", "i8"),  # per step
         ("rounds", "i8"),  # per tick
         ("round_time", "f8"),  # s, derived: tick / rounds
+        ("travel_time", "f8"),  # s, derived: rounds a message travels
         ("step_time", "f8"),  # s, derived: tick * ticks
         # switches: index of the chosen word in scenarios.SWITCHES, derived
         *((name, "i8") for name in "dynamics weight lambda2 relative_yaw link leader".split()),
@@ -153,7 +154,7 @@ BELIEF = _record(_numbers("x y1 y2 y3 q1 q2 q3 degree lambda2_hat v2_hat"))  # l
 EPISODE = _record(
     [
         ("key", "u8"),  # of this episode's noise
-        ("round", "i8"),  # message rounds since reset, warm-up included: the noise counter
+        ("n_rounds", "i8"),  # message rounds since reset, warm-up included: the noise counter
         ("step", "i8"),  # steps since the warm-up
         ("max_steps", "i8"),
         *_numbers("stick_x stick_y stick_z"),  # operator's velocity in the next step, leader's yaw frame
