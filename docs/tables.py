@@ -1,7 +1,7 @@
 """Write the generated tables of README.md and docs/*.md: `python docs/tables.py` (`--check` only looks).
 
 A table stands between `<!-- KIND:NAME -->` and `<!-- end -->`. KIND is `layout` (a table of `fovconn_env.layout`, or
-`layout:scales`, what the named bounds are) or `settings` (the fields of a settings class, with the comment beside each).
+`layout:scales`, what the named bounds are) or `settings` (fields of a settings class, with the comment beside each).
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ import math
 import re
 import sys
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # runs from a clone without an install, too
 
 from baselines import Gains
 from fovconn_env import layout, scenarios, settings
@@ -28,7 +30,7 @@ SCALES = {
     "distance": "camera.d_max",
     "range": "rangefinder.range_max",
     "lambda2": "n_agents",
-    "age": "radio.memory",
+    "age": "radio.memory + radio.delay * clock.tick / clock.rounds",
     "world": "1000",
 }
 _MARKED = re.compile(r"(<!-- (\w+):(\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -64,7 +66,7 @@ def layout_table(name: str) -> str:
 
 def settings_table(name: str) -> str:
     """The Markdown table of a settings class, from its source: field, default, choices or comment."""
-    kind = next(getattr(place, name) for place in (settings, scenarios) if hasattr(place, name)) if name != "Gains" else Gains
+    kind = {"Gains": Gains, "Scenario": scenarios.Scenario}.get(name) or getattr(settings, name)
     rows = []
     for field, annotation, default, comment in _FIELD.findall(inspect.getsource(kind)):
         factory = re.fullmatch(r"field\(default_factory=(\w+)\)", default)

@@ -125,14 +125,6 @@ class Scenario:
         for name, words in SWITCHES.items():
             value = getattr(self, name)
             rule(value in words, f"Scenario.{name}", "one of " + ", ".join(words), value, _closest(value, words))
-        for name in ("n_agents", "leader_index", "max_neighbors", "max_ranges", "max_cycles"):
-            value = getattr(self, name)
-            whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-            rule(whole, f"Scenario.{name}", "a whole number", value, "it counts something")
-        rule(self.n_agents >= 2, "Scenario.n_agents", "at least 2", self.n_agents, "one robot has no link to keep")
-        inside = 0 <= self.leader_index < self.n_agents
-        says = f"in 0..{self.n_agents - 1}"
-        rule(inside, "Scenario.leader_index", says, self.leader_index, "robots are counted from 0")
         check_numbers(
             self,
             above="speed_limit yaw_rate_limit stick_speed max_neighbors max_ranges max_cycles lambda2_max "
@@ -140,6 +132,10 @@ class Scenario:
             at_least="warmup lambda2_min patience",
             infinite="patience",
         )
+        rule(self.n_agents >= 2, "Scenario.n_agents", "at least 2", self.n_agents, "one robot has no link to keep")
+        inside = 0 <= self.leader_index < self.n_agents
+        says = f"in 0..{self.n_agents - 1}"
+        rule(inside, "Scenario.leader_index", says, self.leader_index, "robots are counted from 0")
         hint = "lambda2_min is where the team counts as split, lambda2_max where more links stop to matter"
         below = self.lambda2_min < self.lambda2_max
         rule(below, "Scenario.lambda2_min", f"below lambda2_max ({self.lambda2_max:g})", self.lambda2_min, hint)

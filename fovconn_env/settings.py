@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import numbers
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,24 +31,35 @@ def as_numbers(field: str, value: Any) -> np.ndarray:
 
 
 def check_numbers(group: Any, *, above: str = "", at_least: str = "", share: str = "", infinite: str = "") -> None:
-    """Check the named fields of a settings group: `above` 0, `at_least` 0, or a `share` in [0, 1].
+    """Check a settings group's numbers and switches: finite, whole where the default is, yes or no where that is.
 
-    All are finite numbers but those named `infinite`.
+    The named ones are also `above` 0, `at_least` 0 or a `share` in [0, 1]; those named `infinite` may be infinite.
     """
-    kinds = {**dict.fromkeys(above.split(), 0), **dict.fromkeys(at_least.split(), 1), **dict.fromkeys(share.split(), 2)}
+    names = {rule_name: words.split() for rule_name, words in zip(_RULES, (above, at_least, share), strict=True)}
     for field in dataclasses.fields(group):
         value, name = getattr(group, field.name), f"{type(group).__name__}.{field.name}"
-        kind = kinds.get(field.name)
-        if kind is None:
+        if isinstance(field.default, bool):
+            if not isinstance(value, (bool, np.bool_)):
+                raise TypeError(f"{name} must be True or False, got {value!r}: it is a switch")
+            continue
+        if not isinstance(field.default, (int, float)):
             continue
         if not isinstance(value, numbers.Real) or isinstance(value, bool):
             raise TypeError(f"{name} must be a number, got {value!r}: check the setting's type")
-        value = float(value)
-        finite = math.isfinite(value) or (field.name in infinite.split() and not math.isnan(value))
+        number = float(value)
+        finite = math.isfinite(number) or (field.name in infinite.split() and not math.isnan(number))
         rule(finite, name, "finite", value, "nothing can be computed with it")
-        rule(kind != 0 or value > 0, name, "above 0", value, "a size, rate or gain that is zero switches physics off")
-        rule(kind != 1 or value >= 0, name, "at least 0", value, "0 switches it off")
-        rule(kind != 2 or 0 <= value <= 1, name, "in [0, 1]", value, "it is a share of all messages or sights")
+        whole = isinstance(value, numbers.Integral) or not isinstance(field.default, int)
+        rule(whole, name, "a whole number", value, "it counts something")
+        for rule_name, (holds, says, hint) in _RULES.items():
+            rule(field.name not in names[rule_name] or holds(number), name, says, value, hint)
+
+
+_RULES: dict[str, tuple[Callable[[float], bool], str, str]] = {
+    "above": (lambda x: x > 0, "above 0", "a size, rate or gain that is zero switches physics off"),
+    "at_least": (lambda x: x >= 0, "at least 0", "0 switches it off"),
+    "share": (lambda x: 0 <= x <= 1, "in [0, 1]", "it is a share of all messages or sights"),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,9 +104,10 @@ class Camera:
         rule(self.a_min < self.a_max, "Camera.a_min", f"below a_max ({self.a_max:g})", self.a_min, hint)
         rule(-1 <= self.a_min, "Camera.a_min", "at least -1", self.a_min, hint)
         rule(self.a_max <= 1, "Camera.a_max", "at most 1", self.a_max, hint)
-        axis = self.optical_axis
-        fine = len(axis) == 3 and all(math.isfinite(a) for a in axis) and math.hypot(*axis) > 0
-        rule(fine, "Camera.optical_axis", "three finite numbers, not all 0", axis, "a direction in the body frame")
+        axis = as_numbers("Camera.optical_axis", self.optical_axis)
+        fine = bool(axis.shape == (3,) and np.isfinite(axis).all() and axis.any())
+        hint = "a direction in the body frame"
+        rule(fine, "Camera.optical_axis", "three finite numbers, not all 0", self.optical_axis, hint)
 
     @property
     def unit_axis(self) -> tuple[float, float, float]:
@@ -124,8 +137,6 @@ class Radio:
 
     def __post_init__(self) -> None:
         check_numbers(self, above="memory delay", share="loss")
-        whole = isinstance(self.delay, int)
-        rule(whole, "Radio.delay", "a whole number of rounds", self.delay, "a message arrives in a later round")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,8 +204,9 @@ class Start:
 
     def __post_init__(self) -> None:
         check_numbers(self, above="spacing lambda2_high", at_least="clearance lambda2_low", infinite="lambda2_high")
-        fine = len(self.box) == 3 and all(side > 0 and math.isfinite(side) for side in self.box)
-        rule(fine, "Start.box", "three positive sides", self.box, "metres")
+        box = as_numbers("Start.box", self.box)
+        fine = box.shape == (3,) and np.isfinite(box).all() and (box > 0).all()
+        rule(bool(fine), "Start.box", "three positive sides", self.box, "metres")
         hint = "starts are drawn until lambda2 lies between them"
         rule(self.lambda2_low < self.lambda2_high, "Start.lambda2_low", "below lambda2_high", self.lambda2_low, hint)
 
@@ -216,7 +228,7 @@ class Course:
 
     def __post_init__(self) -> None:
         check_numbers(self, above="legs leg goal_radius goal_lambda2", at_least="settle turn_low climb pause goal_hold")
-        rule(isinstance(self.legs, int), "Course.legs", "a whole number", self.legs, "a count")
+        rule(self.climb <= 1, "Course.climb", "at most 1", self.climb, "a share of a leg's length; 1 is straight up")
         hint = "turns are drawn between them (radians)"
         rule(self.turn_low <= self.turn_high, "Course.turn_low", "at most turn_high", self.turn_low, hint)
 
@@ -254,6 +266,11 @@ class Airframe:
         check_numbers(self, above=" ".join(names - noise), at_least=" ".join(noise))
         hint = "rotors turn between them"
         rule(self.rotor_min < self.rotor_max, "Airframe.rotor_min", "below rotor_max", self.rotor_min, hint)
+        hover = math.sqrt(9.81 * self.mass / (4 * self.thrust_gain))
+        hint = f"it hovers at {hover:.1f} and could not descend"
+        rule(self.rotor_min < hover, "Airframe.rotor_min", "below the speed of hovering", self.rotor_min, hint)
+        hint = "radians; lying on its side it has no lift"
+        rule(self.max_tilt <= 1.5, "Airframe.max_tilt", "at most 1.5", self.max_tilt, hint)
         lift = 4 * self.thrust_gain * self.rotor_max**2
         hint = f"full thrust is {lift:.1f} N; raise rotor_max or thrust_gain"
         rule(9.81 * self.mass < lift, "Airframe.mass", f"below {lift / 9.81:.2f} kg", self.mass, hint)

@@ -31,8 +31,8 @@ class Simulator:
     """
 
     def __init__(self, scenario: Scenario, n_worlds: int = 1, *, n_threads: int | None = None) -> None:
-        if n_worlds < 1:
-            raise ValueError(f"n_worlds must be at least 1, got {n_worlds}: a batch holds worlds")
+        if not isinstance(n_worlds, (int, np.integer)) or n_worlds < 1:
+            raise ValueError(f"n_worlds must be a whole number, at least 1, got {n_worlds!r}: a batch holds worlds")
         if n_threads is not None and n_threads < 1:
             raise ValueError(f"n_threads must be at least 1, got {n_threads}: leave it out for one a core")
         self.scenario, self.n_worlds = scenario, n_worlds

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from fovconn_env.kernel.jit import kernel
+from fovconn_env.kernel.pilot import NOBODY
 from fovconn_env.kernel.spectrum import fiedler
-from fovconn_env.kernel.steer import NOBODY
 from fovconn_env.kernel.weights import range_weight, sight_weight
 
 RANGE, OWN_VIEW, ITS_VIEW, OCCLUSION = range(1, 5)  # layout.LOST_LINK

@@ -14,10 +14,10 @@ from fovconn_env.kernel.judge import connectivity, end, reward, tell, weigh
 from fovconn_env.kernel.kinematic import command, glide, stand
 from fovconn_env.kernel.lambda2_estimator import agree, awaken, know, power_round
 from fovconn_env.kernel.observe import clip, observe_neighbors, observe_self
+from fovconn_env.kernel.pilot import NOBODY, steer
 from fovconn_env.kernel.quadrotor import fly, hover
 from fovconn_env.kernel.radio import exchange, speak, transmit
 from fovconn_env.kernel.rangefinder import scan
-from fovconn_env.kernel.steer import NOBODY, steer
 from fovconn_env.kernel.yaw_estimator import attend, estimate_yaw
 
 ADVANCE, BEGIN = range(2)
@@ -77,7 +77,7 @@ def run(task, state, world, params, actions, mask, warm_ticks, first, last):
             for i in range(infos.shape[0]):
                 infos[i].bytes_sent = 0.0  # the warm-up's
         arrived = steer(bodies[p.leader_index], world.waypoint[b], world.n_waypoints[b], episode, p)
-        observe(bodies, own, tracks, inboxes, beliefs, state.own_row[b], state.neighbor_row[b], infos, episode, p)
+        inform(bodies, own, tracks, inboxes, beliefs, state.own_row[b], state.neighbor_row[b], infos, episode, p)
         measure(bodies, piece, vertex, state.range_row[b], episode, p)
         clip(state.flat[b], world.low, world.high)
         if task == ADVANCE:
@@ -192,7 +192,7 @@ def override_yaw(bodies, tracks, p):
 
 
 @kernel
-def observe(bodies, own, tracks, inboxes, beliefs, own_rows, neighbor_rows, infos, episode, p):
+def inform(bodies, own, tracks, inboxes, beliefs, own_rows, neighbor_rows, infos, episode, p):
     """Write what every robot has on board into its observation."""
     for i in range(bodies.shape[0]):
         leads = i == p.leader_index and p.leader != NOBODY
