@@ -44,13 +44,14 @@ def check_numbers(group: Any, *, above: str = "", at_least: str = "", share: str
             continue
         if not isinstance(field.default, (int, float)):
             continue
-        if not isinstance(value, numbers.Real) or isinstance(value, bool):
+        real = isinstance(value, numbers.Real) and not isinstance(value, bool)
+        whole = (real and isinstance(value, numbers.Integral)) or not isinstance(field.default, int)
+        rule(whole, name, "a whole number", value, "it counts something")
+        if not real:
             raise TypeError(f"{name} must be a number, got {value!r}: check the setting's type")
         number = float(value)
         finite = math.isfinite(number) or (field.name in infinite.split() and not math.isnan(number))
         rule(finite, name, "finite", value, "nothing can be computed with it")
-        whole = isinstance(value, numbers.Integral) or not isinstance(field.default, int)
-        rule(whole, name, "a whole number", value, "it counts something")
         for rule_name, (holds, says, hint) in _RULES.items():
             rule(field.name not in names[rule_name] or holds(number), name, says, value, hint)
 
@@ -73,10 +74,6 @@ class Clock:
     def __post_init__(self) -> None:
         check_numbers(self, above="tick ticks rounds")
         rule(self.tick <= 0.05, "Clock.tick", "at most 0.05", self.tick, "the estimators diverge above (seconds)")
-        for name in ("ticks", "rounds"):
-            rule(
-                isinstance(getattr(self, name), int), f"Clock.{name}", "a whole number", getattr(self, name), "a count"
-            )
 
 
 @dataclass(frozen=True, kw_only=True)
