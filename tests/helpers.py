@@ -10,11 +10,13 @@ from numba.core import config
 
 from fovconn_env.kernel import types
 from fovconn_env.scenarios import Scenario, scenario
+from fovconn_env.settings import Course
 from fovconn_env.simulator import Simulator
 from fovconn_env.world import place
 from tests import reference as ref
 
 JIT = not config.DISABLE_JIT
+SETTLED = Course(settle=0.0)  # the operator moves from the beginning
 KINDS = ("union", "product", "omni")  # scenarios.SWITCHES["weight"]
 
 

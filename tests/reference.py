@@ -11,7 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 S = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # S b = z x b
-LEVEL = 0.1  # paper-notes 4: a line of sight with a smaller horizontal share tells nothing about yaw
+# Decided where the paper is silent (docs/decisions.md):
+LEVEL = 0.1  # a line of sight with a smaller horizontal share tells nothing about yaw
+RELIABLE = 0.5  # of the gain in (21): from here on its value is taken at once
 
 
 class Pose(NamedTuple):
@@ -194,6 +196,8 @@ def maintain(own, neighbors, scenario, gains):
         psi_ij = np.arctan2(row.sin_yaw, row.cos_yaw)
         o_j = tilt(row.roll, row.pitch) @ axis(camera)
         b_ij = np.array([row.bearing_x, row.bearing_y, row.bearing_z], float)
+        if not row.yaw_valid:
+            o_j = Rz(psi_ij).T @ b_ij  # it looks away, so that f_ji = 0: in mutual view the yaw would be known
         slope = weight_gradient(b_ij, float(row.distance), psi_ij, o_i, o_j, camera, scenario.weight)
         u -= V_slope(own.lambda2_hat, scenario, gains) * slope * (own.v2_hat - row.v2_hat) ** 2
     return u[:3], u[3]
@@ -264,7 +268,7 @@ class YawEstimator:
 
         if not self.valid and mutual:  # paper-notes 4: the first reliable value at once
             self.psi, self.valid = psi_direct, True
-        elif not self.valid and k2 > 0.0:
+        elif not self.valid and k2 >= RELIABLE:
             self.psi, self.valid = psi_hat, True
         else:
             both = (f_ij * heard.f_ji if yaw.product else 1.0) if mutual else 0.0
@@ -293,9 +297,13 @@ class YawEstimator:
             self.q = turn(-heard.w_j * dt) @ self.q
         if sight is None:
             return
-        assert yaw.k1 * self.lapse <= 1.0
-        self.p_hat = self.p_hat + self.lapse * self.e(yaw)
-        self.q = self.q + yaw.k1 * self.lapse * (turn(-0.5 * heard.w_j * self.lapse) @ heard.v_j - self.q)
+        v_j = turn(-0.5 * heard.w_j * self.lapse) @ heard.v_j
+        if yaw.k1 * self.lapse < 1.0:
+            self.p_hat = self.p_hat + self.lapse * self.e(yaw)
+            self.q = self.q + yaw.k1 * self.lapse * (v_j - self.q)
+        else:  # missed for longer than 1 / k1: e is the mean velocity since then
+            self.p_hat = sight - (sight - self.p) / (yaw.k1 * self.lapse)
+            self.q = v_j
         self.p, self.lapse = sight, 0.0
 
 
@@ -307,8 +315,8 @@ class PowerIteration:
         self.x, self.y = np.array(x), np.array([x, np.square(x), np.zeros_like(x)])  # y: means of x, x^2, x (L x)
         self.q, self.degree = np.zeros((3, len(x))), np.zeros(len(x))
 
-    def round(self, A, links, power, T):
-        """One message round. A (N, N) weights, links (N, N) bool; T: time of a round, s."""
+    def round(self, A, links, power):
+        """One message round. A (N, N) weights, links (N, N) bool; all gains are those of a round."""
         W = np.where(links, 1.0 / (1.0 + np.maximum.outer(self.degree, self.degree)), 0.0)
         L, M, x = laplacian(np.where(links, A, 0.0)), laplacian(W), self.x
         self.degree = links.sum(axis=1).astype(float)
@@ -317,8 +325,8 @@ class PowerIteration:
         self.y = y + power.g * (alpha - y) - power.kp * y @ M + power.ki * q @ M
         self.q = q - power.ki * y @ M
         excess = self.y[1] - 1.0
-        step = (x - T * (power.k1 * self.y[0] + power.k2 * L @ x)) / (1.0 + T * power.k3 * np.maximum(excess, 0.0))
-        self.x = step - T * power.k3 * np.minimum(excess, 0.0) * x
+        step = (x - (power.k1 * self.y[0] + power.k2 * L @ x)) / (1.0 + power.k3 * np.maximum(excess, 0.0))
+        self.x = step - power.k3 * np.minimum(excess, 0.0) * x
 
     @property
     def size(self):

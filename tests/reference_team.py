@@ -42,6 +42,10 @@ class Team:
         self.distance = np.zeros((self.n, self.n))
 
     @property
+    def round_time(self):
+        return self.scenario.clock.tick / self.scenario.clock.rounds
+
+    @property
     def poses(self):
         return [ref.Pose(p, yaw) for p, yaw in zip(self.p, self.yaw, strict=True)]
 
@@ -76,7 +80,7 @@ class Team:
     def deliver(self):
         """What was written in the last round arrives; the power iteration uses it."""
         scenario, links, A = self.scenario, np.zeros((self.n, self.n), bool), self.weight
-        self.age = np.minimum(self.age + scenario.clock.tick / scenario.clock.rounds, scenario.radio.memory)
+        self.age = np.minimum(self.age + self.round_time, scenario.radio.memory)
         if self.post is not None:
             links = self.post.links
             A = np.where(links, self.post.A, np.where(self.age >= scenario.radio.memory, 0.0, self.weight))
@@ -84,7 +88,7 @@ class Team:
             for i, j in zip(*np.nonzero(links), strict=True):
                 self.last[i, j] = self.post
         self.weight = A
-        self.power.round(A, links, scenario.power, scenario.clock.tick / scenario.clock.rounds)
+        self.power.round(A, links, scenario.power)
 
     def write(self):
         links = np.zeros((self.n, self.n), bool)
@@ -166,7 +170,11 @@ class Team:
             **{"cos_yaw": np.cos(estimate.psi_used), "sin_yaw": np.sin(estimate.psi_used), "roll": 0.0, "pitch": 0.0},
             **{f"v{a}": v for a, v in zip("xyz", heard.v_j, strict=True)},
             **{"yaw_rate": heard.w_j, "v2_hat": x_j / np.sqrt(self.n * self.power.size[i])},
-            **{"lambda2_hat": max(y_j[2] / max(y_j[1], 1e-6), 0.0), "weight": self.weight[i, j], "age": self.age[i, j]},
+            **{
+                "lambda2_hat": max(y_j[2] / max(y_j[1], 1e-6), 0.0),
+                "weight": self.weight[i, j],
+                "age": self.age[i, j] + self.round_time,
+            },
         }
 
 

@@ -10,7 +10,7 @@ import pytest
 from fovconn_env.kernel import lambda2_estimator, observe, radio, spectrum, step, yaw_estimator
 from fovconn_env.kernel.jit import entry
 from fovconn_env.maps import Map
-from fovconn_env.settings import Airframe, Camera, Clock, Course, Noise, PowerIteration, Radio
+from fovconn_env.settings import Airframe, Camera, Clock, Course, Noise, Radio
 from fovconn_env.simulator import Simulator
 from fovconn_env.world import NO_ACTIONS, Start
 from tests import reference as ref
@@ -75,8 +75,8 @@ def test_true_graph(changes):
         assert (np.diag(A) == 0).all()
         assert ((0 <= A) & (A <= 1)).all()
         L = ref.laplacian(A)
-        np.testing.assert_allclose(L.sum(axis=1), 0.0, atol=1e-12)
-        np.testing.assert_allclose(L @ v2, lambda2 * v2, atol=1e-9)
+        np.testing.assert_allclose(L.sum(axis=1), 0.0, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(L @ v2, lambda2 * v2, rtol=0, atol=1e-9)
         assert v2.sum() == pytest.approx(0.0, abs=1e-9)
         assert lambda2 == pytest.approx(np.linalg.eigvalsh(L)[1], abs=1e-9)
 
@@ -113,10 +113,12 @@ def test_relabelling_robots_permutes_what_they_get(dynamics, lambda2):
         before = plain.observations.copy()
         plain.step(action)
         renamed.step(action[:, order])
-        np.testing.assert_allclose(renamed.observations[0], plain.observations[0, order], atol=1e-5)
-        np.testing.assert_allclose(renamed.rewards[0], plain.rewards[0, order], atol=1e-9)
+        np.testing.assert_allclose(renamed.observations[0], plain.observations[0, order], rtol=0, atol=1e-5)
+        np.testing.assert_allclose(renamed.rewards[0], plain.rewards[0, order], rtol=0, atol=1e-9)
         for name in plain.infos.dtype.names:
-            np.testing.assert_allclose(renamed.infos[name][0], plain.infos[name][0, order], atol=1e-7, err_msg=name)
+            np.testing.assert_allclose(
+                renamed.infos[name][0], plain.infos[name][0, order], rtol=0, atol=1e-7, err_msg=name
+            )
         assert plain.over[0] == renamed.over[0]
         if plain.over[0]:
             break
@@ -124,10 +126,9 @@ def test_relabelling_robots_permutes_what_they_get(dynamics, lambda2):
 
 
 # ------------------------------------------------------------------------------------------------------ messages
-CALM = PowerIteration(k1=10, k2=3, k3=30, g=0.03, kp=0.3, ki=0.2)  # gains that bear a delay
 LINKED = {
     "paper": {},
-    "slow": {"radio": Radio(delay=3), "power": CALM},
+    "slow": {"radio": Radio(delay=3)},
     "noisy": {"noise": NOISE, "camera": Camera(miss=0.2, coast=0.05)},
     "radio": {"link": "radio", "weight": "product"},
 }
@@ -238,30 +239,37 @@ def difference(a, b):
 
 FRAMES = {
     "kinematic": {},
-    "obstacles": {"map": pillars(), "camera": Camera(occlusion=True)},
+    "obstacles": {"map": pillars, "camera": Camera(occlusion=True)},
     "quadrotor, noise": {
         "dynamics": "quadrotor",
         "airframe": ROUGH,
         "noise": NOISE,
         "camera": Camera(miss=0.05, occlusion=True),
         "radio": Radio(loss=0.1),
-        "map": pillars(),
+        "map": pillars,
     },
 }
 
 
-@pytest.mark.parametrize(
-    "angle, shift", [(2.0, (0.0, 0.0, 0.0)), (-0.7, (1000.0, -700.0, 50.0)), (np.pi, (-1e3, 1e3, -1e2))]
-)
+def framed(case):
+    """The scenario's changes; a map is made when it is needed: pymunk complains of one that outlives it."""
+    changes = FRAMES[case]
+    return {**changes, "map": changes["map"]()} if "map" in changes else changes
+
+
+TURNS = [(-0.7, (1e3, -700.0, 50.0)), (2.0, (0.0, 0.0, 0.0)), (np.pi, (-1e3, 1e3, -1e2))]
+
+
+@pytest.mark.parametrize("angle, shift", TURNS[: few(3, 1)])
 @pytest.mark.parametrize("case", FRAMES)
 def test_turning_and_shifting_the_world_changes_nothing(case, angle, shift):
-    here = Simulator(small(course=MOVING, patience=1e3, **FRAMES[case]))
+    here = Simulator(small(course=MOVING, patience=1e3, **framed(case)))
     here.reset(7)
     there, start, key = copy.deepcopy(here), start_of(here), here.state.episode["key"][0]
     begin(here, start, key)
     begin(there, turned(start, angle, np.array(shift)), key)
     worst = difference(here, there)
-    for action in recorded_actions(few(20, 8), 4, size=0.3):
+    for action in recorded_actions(20, 4, size=0.3):
         here.step(action)
         there.step(action)
         worst = max(worst, difference(here, there))

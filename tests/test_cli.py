@@ -1,0 +1,347 @@
+"""The `fovconn` command, with tiny settings, and what it measures."""
+
+import dataclasses
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import fovconn_env
+from baselines import load_policy
+from fovconn_env import Course, Simulator, scenario
+from fovconn_env.flight import Flight, fly
+from fovconn_env.layout import BYTES_PER_MESSAGE
+from fovconn_env.metrics import Meter
+from tests import reference as ref
+from training import cli
+from training.evaluation import evaluate, summary
+
+ROOT = Path(__file__).parents[1]
+COMMANDS = ("eval", "demo", "bench")
+TINY = ("--set", "n_agents=3", "--set", "max_cycles=40", "--set", "warmup=0.5")
+
+
+@pytest.fixture
+def fovconn(monkeypatch, capsys, tmp_path):
+    """Run the command in this process: status, stdout, stderr."""
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["fovconn", *map(str, words)])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        shown = capsys.readouterr()
+        return SimpleNamespace(status=end.value.code or 0, out=shown.out, err=shown.err)
+
+    return run
+
+
+# ---------------------------------------------------------------------------------------------------------------- help
+def test_help_and_version(fovconn):
+    top = fovconn("--help")
+    assert top.status == 0
+    assert {command.name or command.callback.__name__ for command in cli.app.registered_commands} == set(COMMANDS)
+    for command in COMMANDS:
+        assert command in top.out
+        shown = fovconn(command, "--help")
+        assert shown.status == 0
+        assert "--scenario" in shown.out
+        assert "LeaderFollow-v0" in shown.out
+    assert fovconn("--version").out.strip() == fovconn_env.__version__
+    bare = fovconn()
+    assert bare.status == 2
+    assert "eval" in bare.out + bare.err
+
+
+# ---------------------------------------------------------------------------------------------------------------- eval
+def strict_json(path):
+    def refuse(word):
+        raise AssertionError(f"{word} is no JSON")
+
+    return json.loads(path.read_text(), parse_constant=refuse)
+
+
+def test_eval_writes_json_that_a_second_run_repeats(fovconn, tmp_path):
+    records = []
+    for k in range(2):
+        words = ("--episodes", 3, "--seed", 5, *TINY, "--json", tmp_path / f"{k}.json")
+        shown = fovconn("eval", "--scenario", "fovconn/Regroup-v0", *words)
+        assert shown.status == 0
+        assert "never disconnected" in shown.out
+        assert "0.json" in shown.out or "1.json" in shown.out
+        assert "100%" in shown.err  # the progress bar
+        records.append(strict_json(tmp_path / f"{k}.json"))
+    first, second = records
+    assert set(first.pop("run")) == set(second.pop("run")) == {"seconds", "finished", "python", "numpy", "machine"}
+    assert first == second
+    assert set(first) >= {"policy", "scenario", "fovconn_env", "seeds", "summary", "episodes"}
+    assert (first["policy"], first["scenario"]) == ("expert", "Regroup-v0")
+    assert first["fovconn_env"] == fovconn_env.__version__
+    assert first["seeds"] == [5, 6, 7]
+    settings = scenario("Regroup-v0", n_agents=3, max_cycles=40, warmup=0.5)
+    result = evaluate("expert", settings, [5, 6, 7])
+    assert set(first["episodes"]) == set(result.episodes)
+    for name, values in first["episodes"].items():
+        clean = [None if not math.isfinite(value) else value for value in result.episodes[name].tolist()]
+        assert values == clean
+    assert set(first["summary"]) == set(summary(result))
+    assert first["summary"]["episodes"] == 3
+    assert first["summary"]["duration"] == pytest.approx(2.0)
+    for name in ("never_disconnected", "success", "collision"):
+        low, high = first["summary"][f"{name}_interval"]
+        assert 0 <= low <= first["summary"][name] <= high <= 1
+
+
+def test_intervals_are_wilsons():
+    """z = 1.96: (p + z^2/2n +- z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n)."""
+    settings = scenario("LeaderFollow-v0", n_agents=3, max_cycles=5, warmup=0.1, lambda2="true")
+    result = evaluate("expert", settings, range(8))
+    for hits in (0, 3, 8):
+        never = np.arange(8) < hits
+        report = summary(result._replace(episodes=result.episodes | {"never_disconnected": never.astype(float)}))
+        n, p, z = 8, hits / 8, 1.959964
+        middle, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+        expected = [(middle - half) / (1 + z * z / n), (middle + half) / (1 + z * z / n)]
+        assert report["never_disconnected"] == p
+        assert report["never_disconnected_interval"] == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "words", [("n_agents=4", "dynamics=quadrotor"), ("stick_speed=0.5", "lambda2=true", "max_cycles=20")]
+)
+def test_set_changes_settings(fovconn, tmp_path, words):
+    pairs = [word for setting in words for word in ("--set", setting)]
+    shown = fovconn("eval", "--episodes", 1, *TINY, *pairs, "--json", tmp_path / "a.json")
+    assert shown.status == 0
+    steps = 20 if "max_cycles=20" in words else 40
+    assert strict_json(tmp_path / "a.json")["summary"]["duration"] == pytest.approx(steps * 0.05)
+
+
+def test_the_record_tells_what_was_flown(fovconn, tmp_path):
+    """Two evaluations with other settings are told apart without their results."""
+    told = []
+    for setting in ("stick_speed=0.5", "stick_speed=1.5"):
+        fovconn("eval", "--episodes", 1, *TINY, "--set", setting, "--json", tmp_path / "a.json")
+        record = strict_json(tmp_path / "a.json")
+        told.append({key: record[key] for key in record if key not in ("summary", "episodes", "run")})
+    assert told[0] != told[1]
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_set_changes_single_settings_of_groups(fovconn, tmp_path, order):
+    """Together, so that what is valid in the end may be told in any order."""
+    settings = ["camera.d_min=3.5", "camera.D1=5.0", "course.settle=0.0"][::order]
+    pairs = [word for setting in settings for word in ("--set", setting)]
+    shown = fovconn("eval", "--episodes", 1, *TINY, *pairs, "--json", tmp_path / "a.json")
+    assert shown.err.count("fovconn:") == 0, shown.err
+    assert shown.status == 0
+    plain = scenario("LeaderFollow-v0")
+    camera, course = dataclasses.replace(plain.camera, d_min=3.5, D1=5.0), dataclasses.replace(plain.course, settle=0.0)
+    expected = scenario(plain, n_agents=3, max_cycles=40, warmup=0.5, camera=camera, course=course)
+    found = strict_json(tmp_path / "a.json")["episodes"]["mean_lambda2"]
+    assert found == evaluate("expert", expected, [0]).episodes["mean_lambda2"].tolist()
+
+
+BAD = {
+    "policy": (("eval", "--policy", "nobody"), "policy must be one of expert, got 'nobody'"),
+    "scenario": (("eval", "--scenario", "LeaderFolow-v0"), "did you mean 'LeaderFollow-v0'"),
+    "unknown setting": (("eval", "--set", "n_agnets=3"), "did you mean 'n_agents'"),
+    "no value": (("eval", "--set", "n_agents"), "--set must be NAME=VALUE, got 'n_agents'"),
+    "no name": (("eval", "--set", "=3"), "no setting ''"),
+    "too few": (("eval", "--set", "n_agents=1"), "Scenario.n_agents must be at least 2, got 1"),
+    "no number": (("eval", "--set", "n_agents=six"), "Scenario.n_agents must be a whole number, got 'six'"),
+    "word": (("eval", "--set", "dynamics=quad"), "did you mean 'quadrotor'"),
+    "group": (("eval", "--set", "camera=wide"), "Scenario.camera must be a Camera, got 'wide'"),
+    "setting of a group": (
+        ("eval", "--set", "camera.a_mim=0.2"),
+        "Camera has no setting 'a_mim': did you mean 'a_min'",
+    ),
+    "unknown group": (("eval", "--set", "cammera.a_min=0.2"), "did you mean 'camera'"),
+    "value in a group": (("eval", "--set", "camera.a_min=0.99"), "Camera.a_min must be below a_max (0.95), got 0.99"),
+    "whole group": (("eval", "--set", "camera=wide", "--set", "camera.a_min=0.3"), "Scenario.camera must be a Camera"),
+    "start": (("eval", "--set", "start=here"), "Scenario.start must be a Start, got 'here'"),
+    "infinite": (("eval", "--set", "warmup=1e999"), "Scenario.warmup must be"),
+    "folder": (
+        ("eval", "--json", "nowhere/a.json"),
+        "--json must name a file in an existing folder, got 'nowhere/a.json'",
+    ),
+    "is a folder": (("eval", "--json", "."), "--json must name a file in an existing folder, got '.'"),
+    "episodes": (("eval", "--episodes", "0"), "'--episodes'"),
+    "seed": (("eval", "--seed", "-1"), "'--seed'"),
+    "option": (("eval", "--epsiodes", "3"), "--epsiodes"),
+    "command": (("evla",), "evla"),
+    "demo policy": (("demo", "--policy", "nobody"), "policy must be one of expert, got 'nobody'"),
+    "demo setting": (("demo", "--set", "n_agents=0"), "Scenario.n_agents must be at least 2, got 0"),
+    "bench peer": (("bench", "--against", "pong"), "--against must name one of mpe2, got 'pong'"),
+    "bench setting": (("bench", "--set", "n_agents=0"), "Scenario.n_agents must be at least 2, got 0"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_ends_with_one_clear_line(fovconn, case):
+    words, message = BAD[case]
+    shown = fovconn(*words)
+    assert shown.status == 2
+    lines = [line for line in shown.err.splitlines() if message in line]
+    assert len(lines) == 1
+    assert "Traceback" not in shown.err
+    assert shown.out == ""
+    assert not list(Path().iterdir())  # nothing half-written
+
+
+def test_in_a_process_of_its_own():
+    """No traceback either, and the status arrives at the shell."""
+    variables = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200"}
+    words = [sys.executable, "-m", "training.cli", "eval", "--policy", "nobody"]
+    task = subprocess.run(words, cwd=ROOT, env=variables, capture_output=True, text=True, timeout=120, check=False)
+    assert task.returncode == 2
+    assert task.stdout == ""
+    assert task.stderr == "fovconn: policy must be one of expert, got 'nobody'\n"
+
+
+# ------------------------------------------------------------------------------------------------------ demo and bench
+def test_demo_without_the_animation(fovconn):
+    shown = fovconn("demo", "--no-animation", "--out", "pictures", *TINY)
+    assert shown.status == 0
+    assert "outcome: " in shown.out
+    pictures = sorted(Path("pictures").iterdir())
+    assert len(pictures) >= 6
+    for picture in pictures:
+        assert str(picture) in shown.out
+        assert picture.stat().st_size > 1000
+    assert not any(picture.suffix in (".gif", ".mp4") for picture in pictures)
+
+
+def test_bench(fovconn):
+    shown = fovconn("bench", "--repetitions", 1, "--batch", 2, "--set", "n_agents=3")
+    assert shown.status == 0
+    assert "parallel_env" in shown.out
+    assert "batch of 2" in shown.out
+
+
+# ------------------------------------------------------------------------------------------ Meter, against a recording
+def recomputed(flight: Flight) -> dict[str, float]:
+    """`Meter.results` from a flight, one definition of docs/metrics.md after another."""
+    s, dt, n = flight.scenario, flight.scenario.step_time, flight.scenario.n_agents
+    steps = range(1, len(flight.time))  # the start does not count
+    pairs = [(i, j) for i in range(n) for j in range(i + 1, n)]
+    split = [k for k in steps if not flight.lambda2[k] > s.lambda2_min]
+    sees = flight.watch > 0
+    position = flight.poses[..., :3]
+    speed = [[np.linalg.norm(position[k, i] - position[k - 1, i]) / dt for i in range(n)] for k in steps]
+    moved = next((k for k in steps if max(speed[k - 1]) > 0.05), math.inf)
+    lost = mutual = one_way = 0
+    gaps, valid, counted = [], {True: 0, False: 0}, {True: 0, False: 0}
+    for k in steps:
+        for i, j in pairs:
+            lost += flight.weights[k - 1, i, j] > 0 and not flight.weights[k, i, j] > 0
+            both, one = sees[k, i, j] and sees[k, j, i], sees[k, i, j] != sees[k, j, i]
+            mutual, one_way = mutual + both, one_way + one
+            gaps.append(np.linalg.norm(position[k, i] - position[k, j]))
+            if (both or one) and k * dt >= moved * dt + 5.0 - 1e-9:
+                for a, b in ((i, j), (j, i)):
+                    counted[bool(both)] += 1
+                    valid[bool(both)] += bool(flight.yaw_valid[k, a, b])
+    pushed = sum(float(flight.stick[k] @ flight.stick[k]) for k in steps)
+    lead = s.leader_index
+    travelled = sum(float((position[k, lead] - position[k - 1, lead]) / dt @ flight.stick[k]) for k in steps)
+    count, duration = len(steps), len(steps) * dt
+    return {
+        "never_disconnected": float(not split),
+        "success": float(flight.outcome == "success"),
+        "collision": float(flight.outcome == "collision"),
+        "connected_share": 1 - len(split) / count,
+        "min_lambda2": min(flight.lambda2[1:]),
+        "mean_lambda2": sum(min(flight.lambda2[k], s.lambda2_max) for k in steps) / count,
+        "first_disconnection": split[0] * dt if split else math.nan,
+        "links_lost_per_minute": lost / duration * 60,
+        "mutual_share": mutual / count / len(pairs),
+        "one_way_share": one_way / count / len(pairs),
+        "least_separation": min(gaps),
+        "duration": duration,
+        "mean_speed": np.mean(speed),
+        "progress": travelled / pushed if pushed else math.nan,
+        "yaw_valid_mutual": valid[True] / counted[True] if counted[True] else math.nan,
+        "yaw_valid_one_way": valid[False] / counted[False] if counted[False] else math.nan,
+    }
+
+
+ROUGH = {"mean_speed": 2e-3, "progress": 2e-3}  # a flight has no velocities; from positions they are means over a step
+FLIGHTS = {
+    "success": (scenario("LeaderFollow-v0", n_agents=4, course=Course(legs=1, leg=4.0, settle=1.0)), 3),
+    "patience": (scenario("LeaderObstacles-v0", patience=5.0, max_cycles=240, course=Course(settle=0.0)), 1),
+    "regroup": (scenario("Regroup-v0", max_cycles=220), 4),
+    "split": (scenario("LeaderFollow-v0", stick_speed=1.4, course=Course(settle=0.0)), 2),
+}
+
+
+def stand(observations):
+    return np.zeros((*observations.shape[:2], 4))
+
+
+@pytest.mark.parametrize("case", FLIGHTS)
+def test_meter_against_a_recording(case):
+    settings, seed = FLIGHTS[case]
+    act = stand if case == "split" else load_policy("expert", settings).act
+    expected = recomputed(flight := fly(settings, act, seed))
+    simulator = Simulator(settings)
+    observations = simulator.reset(seed)
+    meter = Meter(simulator)
+    returns, sent = np.zeros(settings.n_agents), np.zeros(settings.n_agents)
+    while not simulator.over[0]:
+        observations = simulator.step(act(observations))
+        meter.update()
+        returns += simulator.rewards[0]
+        sent += simulator.infos["bytes_sent"][0]
+    meter.update()  # an episode that is over does not count any more
+    found = {name: float(values[0]) for name, values in meter.results().items()}
+    assert case != "split" or not found["never_disconnected"]
+    assert case != "success" or found["success"]
+    for name, value in expected.items():
+        assert found[name] == pytest.approx(value, rel=ROUGH.get(name, 1e-9), abs=1e-9, nan_ok=True), name
+    assert found["return"] == pytest.approx(returns.mean())
+    assert found["bytes_per_second"] == pytest.approx(sent.mean() / expected["duration"])
+    assert found["messages_per_second"] == pytest.approx(found["bytes_per_second"] / BYTES_PER_MESSAGE)
+
+    samples, good = meter.samples(), flight.lambda2[1:] > settings.lambda2_min
+    errors = np.abs(flight.lambda2_hat - flight.lambda2[:, None])[1:] / flight.lambda2[1:, None]
+    np.testing.assert_allclose(samples.lambda2, errors[good].ravel(), rtol=1e-5)
+    half = np.sin(ref.wrap(flight.yaw_hat - flight.yaw) / 2)
+    sees = flight.watch > 0
+    for kind, kept in (
+        (sees & sees.transpose(0, 2, 1), samples.yaw_mutual),
+        (sees ^ sees.transpose(0, 2, 1), samples.yaw_one_way),
+    ):
+        np.testing.assert_allclose(np.abs(kept), np.abs(half[1:][(kind & flight.yaw_valid)[1:]]), rtol=1e-4, atol=1e-6)
+
+
+def test_meter_of_a_batch_is_the_meter_of_each_episode():
+    course = Course(settle=0.0, legs=1, leg=2.0)
+    settings = scenario("LeaderFollow-v0", max_cycles=160, course=course, warmup=2.0)
+    together = evaluate("expert", settings, range(12))
+    alone = [evaluate("expert", settings, [seed]) for seed in range(12)]
+    for name, values in together.episodes.items():
+        np.testing.assert_allclose(values, [one.episodes[name][0] for one in alone], rtol=1e-12, err_msg=name)
+    assert len(set(together.episodes["duration"])) > 1
+    for pooled, kind in zip(together.samples, zip(*(one.samples for one in alone), strict=True), strict=True):
+        np.testing.assert_array_equal(np.sort(pooled), np.sort(np.concatenate(kind)))
+
+
+def test_evaluation_is_cut_into_batches_without_a_trace(monkeypatch):
+    settings = scenario("LeaderFollow-v0", n_agents=3, max_cycles=20, warmup=0.2)
+    whole = evaluate("expert", settings, range(7))
+    monkeypatch.setattr("training.evaluation.BATCH", 3)
+    done = []
+    pieces = evaluate("expert", settings, range(7), progress=done.append)
+    for name, values in whole.episodes.items():
+        np.testing.assert_array_equal(values, pieces.episodes[name])
+    assert done == sorted(done)
+    assert done[-1] == 7
+    assert dataclasses.asdict(pieces.scenario) == dataclasses.asdict(settings)

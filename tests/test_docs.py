@@ -1,0 +1,225 @@
+"""README.md and docs/: every example runs, every link leads somewhere, every name exists, every table is up to date."""
+
+import dataclasses
+import importlib
+import re
+import runpy
+import shlex
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from baselines import POLICIES, Gains
+from fovconn_env import PRESETS, Scenario, Simulator, layout, scenario
+from fovconn_env.kernel import types
+from fovconn_env.metrics import Meter, Samples
+
+ROOT = Path(__file__).parents[1]
+PAGES = {str(page.relative_to(ROOT)): page for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))}
+README = PAGES["README.md"].read_text("utf-8")
+FACTORIES = [field.default_factory for field in dataclasses.fields(Scenario)]
+GROUPS = [kind for kind in FACTORIES if isinstance(kind, type)]  # Clock, Camera, ...: MISSING is no class
+TABLES = runpy.run_path(str(ROOT / "docs" / "tables.py"))
+
+
+def blocks(text: str, language: str) -> list[str]:
+    """The fenced code blocks of a page in one language."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+
+
+def prose(text: str) -> str:
+    """A page without its code."""
+    return re.sub(r"`[^`\n]*`", "", re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE))
+
+
+def commands(program: str) -> list[list[str]]:
+    """Arguments of every call of a program in the README's shell blocks."""
+    lines = [line for block in blocks(README, "sh") for line in block.splitlines()]
+    return [words[1:] for words in (shlex.split(line, comments=True) for line in lines) if words[:1] == [program]]
+
+
+def anchors(text: str) -> set[str]:
+    """GitHub's anchors of a page's headings."""
+    titles = re.findall(r"^#+ (.*)$", re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+def table_rows(text: str) -> list[list[str]]:
+    """Cells of all table rows, heads included."""
+    return [re.split(r"(?<!\\)\|", line)[1:-1] for line in text.splitlines() if re.match(r"\|(?!-)", line)]
+
+
+def named(text: str) -> set[str]:
+    """Names in code style in the first column of a page's tables."""
+    return {name for row in table_rows(text) for name in re.findall(r"`(\w+)`", row[0])}
+
+
+# ------------------------------------------------------------------------------------------------------- examples
+@pytest.mark.parametrize("page", PAGES)
+def test_examples_run(page, tmp_path, monkeypatch):
+    """All Python blocks of a page in order, in one namespace; presets are cut to 20 steps."""
+    for name, preset in PRESETS.items():
+        monkeypatch.setitem(PRESETS, name, dataclasses.replace(preset, max_cycles=20, warmup=1.0))
+    monkeypatch.setattr("baselines.POLICIES", dict(POLICIES))
+    monkeypatch.chdir(tmp_path)
+    namespace = {"__name__": "example"}
+    text = PAGES[page].read_text("utf-8")
+    for block in blocks(text, "python"):
+        line = text[: text.index(block)].count("\n")
+        exec(compile("\n" * line + block, str(PAGES[page]), "exec"), namespace)
+
+
+def test_readme_has_the_examples_it_promises():
+    assert "while env.agents:" in blocks(README, "python")[0]
+    assert ["demo"] in commands("make")
+    assert ["test"] in commands("make")
+    assert len(commands("fovconn")) >= 3
+
+
+@pytest.mark.parametrize("arguments", commands("fovconn"), ids=" ".join)
+def test_commands_parse(arguments):
+    typer_main = pytest.importorskip("typer.main")
+    from training.cli import _parse, app
+
+    command = typer_main.get_command(app).commands[arguments[0]]
+    values = command.make_context(arguments[0], arguments[1:]).params
+    assert values.get("policy", "expert") in POLICIES
+    scenario(values["scenario_name"], **_parse(list(values.get("settings") or [])))
+
+
+def test_make_targets_and_extras_exist():
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    assert {target for target, *_ in commands("make")} <= set(targets)
+    for arguments in commands("pip"):
+        assert (ROOT / arguments[arguments.index("-c") + 1]).is_file()
+        extras = re.search(r"\[(.*)\]", arguments[arguments.index("-e") + 1])
+        assert extras is None or set(extras[1].split(",")) <= set(project["optional-dependencies"])
+    for version in re.findall(r"^Programming Language :: Python :: (3\.\d+)$", "\n".join(project["classifiers"]), re.M):
+        assert version in README
+
+
+# ---------------------------------------------------------------------------------------------------------- links
+@pytest.mark.parametrize("page", PAGES)
+def test_links_and_images_resolve(page):
+    text, here = PAGES[page].read_text("utf-8"), PAGES[page].parent
+    for target in re.findall(r"\]\(([^)\s]+)\)", prose(text)):
+        if target.startswith(("https://", "http://", "mailto:")):
+            continue
+        name, _, anchor = target.partition("#")
+        path = (here / name).resolve() if name else PAGES[page]
+        assert path.exists(), f"{page} links to {target}"
+        assert path.is_relative_to(ROOT), f"{page} links out of the repository: {target}"
+        if anchor:
+            assert anchor in anchors(path.read_text("utf-8")), f"{page} links to {target}"
+
+
+def test_every_page_is_reached_from_the_readme():
+    for page in PAGES:
+        assert page == "README.md" or f"({page})" in README
+
+
+# --------------------------------------------------------------------------------------------------------- tables
+@pytest.mark.parametrize("page", PAGES)
+def test_generated_tables_are_up_to_date(page):
+    text = PAGES[page].read_text("utf-8")
+    assert TABLES["rendered"](text) == text, "run: python docs/tables.py"
+
+
+def test_all_tables_are_shown():
+    text = "".join(page.read_text("utf-8") for page in PAGES.values())
+    for table in "SELF NEIGHBOR RANGE ACTION MESSAGE STATE STATE_TEAM INFO LOST_LINK".split():
+        assert f"<!-- layout:{table} -->" in text
+    for kind in (Scenario, Gains, *GROUPS):
+        assert f"<!-- settings:{kind.__name__} -->" in text
+
+
+@pytest.mark.parametrize("kind", [Scenario, Gains, *GROUPS])
+def test_settings_table_has_every_field(kind):
+    rows = table_rows(TABLES["settings_table"](kind.__name__))
+    assert [row[0].strip() for row in rows[1:]] == [f"`{field.name}`" for field in dataclasses.fields(kind)]
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, {"speed_limit": 2.0, "yaw_rate_limit": 0.7, "stick_speed": 0.3, "n_agents": 4}]
+)
+def test_bounds_are_what_the_table_says(changes):
+    chosen = scenario(**changes)
+    settings = {field.name: getattr(chosen, field.name) for field in dataclasses.fields(chosen)}
+    scales = {name: eval(rule, {}, settings) for name, rule in TABLES["SCALES"].items()}
+    assert scales == {name: value for name, value in chosen.scales().items() if name != "inf"}
+
+
+def test_sizes_in_the_text_are_right():
+    text, chosen = PAGES["docs/observation.md"].read_text("utf-8"), scenario()
+    assert f"`self` ({len(layout.SELF)} numbers)" in text
+    assert f"rows of {len(layout.NEIGHBOR)}," in text
+    assert f"rows of {len(layout.RANGE)}," in text
+    assert f"one box of {chosen.observation_size} numbers" in text.replace("\n", " ")
+    assert f"{layout.BYTES_PER_MESSAGE} bytes a message" in text
+    assert f"[{len(layout.MESSAGE)} numbers]" in PAGES["docs/decisions.md"].read_text("utf-8")
+
+
+# ---------------------------------------------------------------------------------------------------------- names
+def symbols() -> list[list[str]]:
+    """Rows of the README's table of symbols."""
+    return table_rows(re.search(r"<!-- symbols -->\n(.*?)<!-- end symbols -->", README, re.DOTALL)[1])[1:]
+
+
+def resolve(name: str) -> object:
+    """What a name in the symbol table stands for: a gain, a column, a record's field, or a setting."""
+    group, _, field = name.rpartition(".")
+    if group == "Gains":
+        return getattr(Gains(), field)
+    if group.isupper():
+        table = getattr(layout, group, None)
+        fields = [column.name for column in table] if table else getattr(types, group).names
+        return fields.index(field)
+    value = scenario()
+    for part in name.split("."):
+        value = getattr(value, part)
+    return value
+
+
+def test_names_in_the_symbol_table_exist():
+    rows = symbols()
+    names = [name for row in rows for name in re.findall(r"`([^`]+)`", row[2])]
+    assert len(rows) > 20
+    assert len(names) > 30
+    for name in names:
+        resolve(name)
+
+
+def test_functions_in_the_symbol_table_exist():
+    found = [link for row in symbols() for link in re.findall(r"\[`(\w+)`\]\(([\w/]+)\.py\)", row[4])]
+    assert len(found) > 15
+    for function, file in found:
+        assert callable(getattr(importlib.import_module(file.replace("/", ".")), function))
+
+
+def test_every_measure_is_defined():
+    from training.evaluation import evaluate, summary
+
+    chosen = scenario(n_agents=2, max_cycles=1, warmup=0.0)
+    simulator = Simulator(chosen)
+    simulator.reset(0)
+    meter = Meter(simulator)
+    simulator.step(np.zeros((1, 2, 4)))
+    meter.update()
+    text = PAGES["docs/metrics.md"].read_text("utf-8")
+    parts = re.split(r"^## ", text, flags=re.MULTILINE)
+    sections = {part.partition("\n")[0]: named(part) for part in parts}
+    assert sections["Of an episode"] == set(meter.results())
+    assert sections["Pooled errors"] == set(Samples._fields)
+    assert sections["Of an evaluation"] == set(summary(evaluate("expert", chosen, [0])))
+
+
+def test_every_scenario_has_a_card_and_every_reward_term_a_row():
+    cards = PAGES["docs/scenarios.md"].read_text("utf-8")
+    for name in PRESETS:
+        assert f"\n## {name}\n" in cards
+        assert f"| `{name}` |" in README
+    weights = {field.name for field in dataclasses.fields(scenario().reward)}
+    assert set(layout.REWARDS) <= named(PAGES["docs/reward.md"].read_text("utf-8")) <= weights
