@@ -79,22 +79,27 @@ def potential_slope(lambda2, p, g):
 def maintain(own, neighbors, p, g):
     """Velocity and yaw rate that raise lambda2 (5), before saturation: m/s and rad/s, yaw frame."""
     vx = vy = vz = yaw_rate = 0.0
-    slope = potential_slope(float(own.lambda2_hat), p, g)
-    oix, oiy, oiz = tilt(p.axis_x, p.axis_y, p.axis_z, float(own.roll), float(own.pitch))
+    slope = potential_slope(np.float64(own.lambda2_hat), p, g)
+    oix, oiy, oiz = tilt(p.axis_x, p.axis_y, p.axis_z, np.float64(own.roll), np.float64(own.pitch))
     for j in range(neighbors.shape[0]):
         row = neighbors[j]
         blind = row.f_ij == 0.0
         if row.present == 0.0 or (blind and row.yaw_valid == 0.0):
             continue  # without a yaw, a robot that is only seen cannot tell which way to go
-        ax, ay, az = tilt(p.axis_x, p.axis_y, p.axis_z, float(row.roll), float(row.pitch))
-        c, s = float(row.cos_yaw), float(row.sin_yaw)
+        ax, ay, az = tilt(p.axis_x, p.axis_y, p.axis_z, np.float64(row.roll), np.float64(row.pitch))
+        c, s = np.float64(row.cos_yaw), np.float64(row.sin_yaw)
         ojx, ojy, ojz = c * ax - s * ay, s * ax + c * ay, az  # iR_j o_C
-        bx, by, bz, distance = float(row.bearing_x), float(row.bearing_y), float(row.bearing_z), float(row.distance)
+        bx, by, bz, distance = (
+            np.float64(row.bearing_x),
+            np.float64(row.bearing_y),
+            np.float64(row.bearing_z),
+            np.float64(row.distance),
+        )
         if row.yaw_valid == 0.0:
             ojx, ojy, ojz = bx, by, bz  # it looks away: were it mutual view, the yaw would be known
         gradient = weight_gradient(bx, by, bz, distance, oix, oiy, oiz, ojx, ojy, ojz, p.weight, p)  # (12), (13)
         gx, gy, gz, g_yaw = gradient
-        difference = float(own.v2_hat) - float(row.v2_hat)
+        difference = np.float64(own.v2_hat) - np.float64(row.v2_hat)
         scale = -slope * difference * difference
         vx, vy, vz = vx + scale * gx, vy + scale * gy, vz + scale * gz  # (5)
         yaw_rate += scale * g_yaw
@@ -109,7 +114,7 @@ def repel(ranges, g):
         row = ranges[k]
         if row.present == 0.0:
             break
-        x, y, z = float(row.x), float(row.y), float(row.z)
+        x, y, z = np.float64(row.x), np.float64(row.y), np.float64(row.z)
         distance = math.sqrt(x * x + y * y + z * z)
         if distance >= g.d_max_obs:
             continue
@@ -141,7 +146,7 @@ def control(own, neighbors, ranges, params, gains, actions):
     top = p.speed_limit + p.stick_speed
     for r in range(own.shape[0]):
         me = own[r]
-        sx, sy, sz = float(me.stick_x), float(me.stick_y), float(me.stick_z)
+        sx, sy, sz = np.float64(me.stick_x), np.float64(me.stick_y), np.float64(me.stick_z)
         cx, cy, cz, yaw_rate = maintain(me, neighbors[r], p, g)
         ox, oy, oz = repel(ranges[r], g)
         # of the sum: the operator cannot outvote a part of it

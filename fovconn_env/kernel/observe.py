@@ -8,15 +8,15 @@ from fovconn_env.kernel.jit import kernel
 
 
 @kernel
-def observe_self(row, own, belief, is_leader, episode):
-    """Fill robot i's SELF row; the stick reaches the leader alone."""
+def observe_self(row, own, belief, is_leader, stick_x, stick_y, stick_z):
+    """Fill robot i's SELF row; the stick (m/s) reaches the leader alone."""
     row.vx, row.vy, row.vz, row.yaw_rate = own.vx, own.vy, own.vz, own.yaw_rate
     row.roll, row.pitch = own.roll, own.pitch
     row.lambda2_hat, row.v2_hat = belief.lambda2_hat, belief.v2_hat
     row.is_leader = 1.0 if is_leader else 0.0
     row.stick_x = row.stick_y = row.stick_z = 0.0
     if is_leader:
-        row.stick_x, row.stick_y, row.stick_z = episode.stick_x, episode.stick_y, episode.stick_z
+        row.stick_x, row.stick_y, row.stick_z = stick_x, stick_y, stick_z
 
 
 @kernel

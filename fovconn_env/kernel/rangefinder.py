@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from fovconn_env.kernel import random
 from fovconn_env.kernel.geometry import nearest_on_piece
 from fovconn_env.kernel.jit import kernel
@@ -61,5 +63,5 @@ def _enter(rows, me, dx, dy, dz, distance, i, thing, key, tick, p):
 
 @kernel
 def _length(row):
-    x, y, z = float(row.x), float(row.y), float(row.z)
+    x, y, z = np.float64(row.x), np.float64(row.y), np.float64(row.z)
     return math.sqrt(x * x + y * y + z * z)

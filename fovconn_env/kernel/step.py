@@ -196,7 +196,7 @@ def inform(bodies, own, tracks, inboxes, beliefs, own_rows, neighbor_rows, infos
     """Write what every robot has on board into its observation."""
     for i in range(bodies.shape[0]):
         leads = i == p.leader_index and p.leader != NOBODY
-        observe_self(own_rows[i], own[i], beliefs[i], leads, episode)
+        observe_self(own_rows[i], own[i], beliefs[i], leads, episode.stick_x, episode.stick_y, episode.stick_z)
         infos[i].neighbors_dropped = observe_neighbors(neighbor_rows[i], tracks[i], inboxes[i], beliefs[i], p)
 
 
