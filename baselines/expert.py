@@ -15,6 +15,7 @@ from fovconn_env.kernel.geometry import tilt
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.kinematic import saturate
 from fovconn_env.kernel.weights import weight_gradient
+from fovconn_env.kernel.yaw_estimator import NONE
 from fovconn_env.scenarios import Scenario
 from fovconn_env.settings import check_numbers, rule
 
@@ -25,7 +26,7 @@ GAINS = np.dtype((np.record, [(name, "f8") for name in "k_v clamp k_obs d_min_ob
 class Gains:
     """What the paper leaves open (docs/decisions.md)."""
 
-    k_v: float = 0.2  # gain of V; 0.05 lost 2.7 % of the teams, 0.2 0.6 % (docs/decisions.md)
+    k_v: float = 0.2  # gain of V; 0.05 lost 3.1 % of the teams, 0.2 0.8 % (docs/decisions.md)
     clamp: float = 0.02  # lambda2_hat is kept this far above lambda2_min, where V has its asymptote
     k_obs: float = 0.05  # m/s, gain of the repulsion
     d_min_obs: float = 1.0  # m, its asymptote (Table I)
@@ -126,12 +127,14 @@ def repel(ranges, g):
 
 
 @kernel
-def excite(own, neighbors, g):
+def excite(neighbors, p, g):
     """Forward velocity (m/s) of a robot that is watched by one it cannot see and does not know the yaw of.
 
     Beyond the paper: at standstill nothing tells the watcher that yaw, so the two would wait for each other for ever,
     the operator pulling in vain. A few centimetres of motion make it observable (16), (21).
     """
+    if p.relative_yaw == NONE:
+        return 0.0  # there is no estimator to excite
     for j in range(neighbors.shape[0]):
         row = neighbors[j]
         if row.present > 0.0 and row.f_ij == 0.0 and row.f_ji > 0.0 and row.yaw_valid == 0.0:
@@ -150,7 +153,7 @@ def control(own, neighbors, ranges, params, gains, actions):
         cx, cy, cz, yaw_rate = maintain(me, neighbors[r], p, g)
         ox, oy, oz = repel(ranges[r], g)
         # of the sum: the operator cannot outvote a part of it
-        cx += excite(me, neighbors[r], g)
+        cx += excite(neighbors[r], p, g)
         vx, vy, vz = saturate(cx + ox + sx, cy + oy + sy, cz + oz + sz, p.speed_limit)
         actions[r, 0] = (vx - sx) / top  # the environment adds the stick again
         actions[r, 1] = (vy - sy) / top
