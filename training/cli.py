@@ -193,7 +193,7 @@ def _table(result: Evaluation) -> Table:
         keys = (names,) if isinstance(names, str) else names
         interval = ""
         if form == "share":
-            low, high = report[f"{names}_interval"]  # type: ignore[misc]
+            low, high = report[f"{names}_interval"]
             form, interval = ".1%", f"{low:.1%} to {high:.1%}"
         values = [report[key] for key in keys]
         shown = " / ".join("-" if value != value else format(value, form) for value in values)

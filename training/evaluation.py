@@ -56,7 +56,7 @@ def evaluate(
     return Evaluation(policy, scenario, list(seeds), episodes, pooled, time.perf_counter() - began)
 
 
-def summary(evaluation: Evaluation) -> dict[str, float | list[float] | int]:
+def summary(evaluation: Evaluation) -> dict[str, Any]:
     """The numbers to report: shares with 95 % Wilson intervals, means over episodes, pooled estimator errors."""
     episodes, samples = evaluation.episodes, evaluation.samples
     count = len(evaluation.seeds)
