@@ -152,8 +152,8 @@ def control(own, neighbors, ranges, params, gains, actions):
         sx, sy, sz = np.float64(me.stick_x), np.float64(me.stick_y), np.float64(me.stick_z)
         cx, cy, cz, yaw_rate = maintain(me, neighbors[r], p, g)
         ox, oy, oz = repel(ranges[r], g)
-        # of the sum: the operator cannot outvote a part of it
         cx += excite(neighbors[r], p, g)
+        # of the sum: the operator cannot outvote a part of it
         vx, vy, vz = saturate(cx + ox + sx, cy + oy + sy, cz + oz + sz, p.speed_limit)
         actions[r, 0] = (vx - sx) / top  # the environment adds the stick again
         actions[r, 1] = (vy - sy) / top

@@ -11,6 +11,7 @@ from gymnasium import spaces
 from fovconn_env import layout
 from fovconn_env.scenarios import Scenario, scenario
 from fovconn_env.simulator import Simulator
+from fovconn_env.viewer import RENDER_MODES, Viewer
 
 TEAM_KEYS = ("lambda2", "connected", "n_edges", "success", "collision", "disconnected")  # the same for every robot
 
@@ -28,18 +29,16 @@ class JointEnv(gymnasium.Env):
     infos: the team's numbers as floats, the robots' as arrays (N,); keys are those of `layout.INFO`.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20}
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 20}
 
     def __init__(
         self, base: str | Scenario = "LeaderFollow-v0", *, render_mode: str | None = None, **settings: Any
     ) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(f"render_mode must be None or 'rgb_array', got {render_mode!r}")
+        self._viewer = Viewer(render_mode)
         self.scenario = scenario(base, **settings)
         self.render_mode = render_mode
         self.simulator = Simulator(self.scenario)
         self.observation_space, self.action_space = joint_spaces(self.simulator)
-        self._picture: Any = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -62,14 +61,7 @@ class JointEnv(gymnasium.Env):
 
     def render(self) -> np.ndarray | None:
         """A picture of the world, (480, 640, 3) uint8."""
-        if self.render_mode is None:
-            gymnasium.logger.warn("render() needs a render mode: make the environment with render_mode='rgb_array'")
-            return None
-        if self._picture is None:
-            from fovconn_env.render.picture import Picture
-
-            self._picture = Picture(self.scenario)
-        return self._picture.draw(self.simulator)
+        return self._viewer.draw(self.simulator)
 
     def _info(self) -> dict[str, Any]:
         rows = self.simulator.infos[0]

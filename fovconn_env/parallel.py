@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections import OrderedDict
 from typing import Any
 
@@ -17,6 +16,7 @@ from fovconn_env import layout
 from fovconn_env.scenarios import Scenario, scenario
 from fovconn_env.settings import as_numbers
 from fovconn_env.simulator import Simulator
+from fovconn_env.viewer import RENDER_MODES, Viewer
 
 PARTS = ("self", "neighbors", "ranges")
 INFO_KEYS = tuple(column.name for column in layout.INFO)
@@ -31,7 +31,7 @@ class ParallelEnv(pettingzoo.ParallelEnv):
 
     metadata: dict[str, Any] = {
         "name": "fovconn_v0",
-        "render_modes": ["rgb_array"],
+        "render_modes": list(RENDER_MODES),
         "render_fps": 20,
         "is_parallelizable": True,
     }
@@ -45,9 +45,7 @@ class ParallelEnv(pettingzoo.ParallelEnv):
         flat: bool = False,
         **settings: Any,
     ) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            modes = ", ".join(self.metadata["render_modes"])
-            raise ValueError(f"render_mode must be None or one of {modes}, got {render_mode!r}")
+        self._viewer = Viewer(render_mode)
         self.scenario = scenario(base, **settings)
         self.render_mode = render_mode
         self.flat = flat
@@ -58,7 +56,6 @@ class ParallelEnv(pettingzoo.ParallelEnv):
         self.action_spaces = {agent: spaces.Box(-1.0, 1.0, (len(layout.ACTION),)) for agent in self.possible_agents}
         low, high = self.simulator.privileged_bounds()
         self.state_space = spaces.Box(low, high)
-        self._picture: Any = None
 
     @property
     def max_cycles(self) -> int:
@@ -122,28 +119,10 @@ class ParallelEnv(pettingzoo.ParallelEnv):
 
     def render(self) -> np.ndarray | None:
         """A picture of the world as it is, (480, 640, 3) uint8, or None without a render mode."""
-        if self.render_mode is None:
-            gymnasium.logger.warn("render() needs a render mode: make the environment with render_mode='rgb_array'")
-            return None
-        if self.simulator.state.episode["n_rounds"][0] == 0:
-            raise gymnasium.error.ResetNeeded("render() needs an episode under way: call reset() first")
-        if self._picture is None:
-            from fovconn_env.render.picture import Picture
-
-            self._picture = Picture(self.scenario)
-        return self._picture.draw(self.simulator)
+        return self._viewer.draw(self.simulator)
 
     def close(self) -> None:
         """Nothing to release."""
-
-    def __deepcopy__(self, memo: dict) -> ParallelEnv:
-        twin = copy.copy(self)
-        twin.__dict__ = {key: copy.deepcopy(value, memo) for key, value in self.__dict__.items() if key != "_picture"}
-        twin._picture = None
-        return twin
-
-    def __getstate__(self) -> dict:
-        return {**self.__dict__, "_picture": None}
 
     def _gather(self, actions: dict[str, np.ndarray]) -> np.ndarray:
         """Actions (N, 4) float64, checked."""

@@ -1,6 +1,6 @@
 """The paper in plain numpy, as slow as it reads: vectors, rotation matrices, one equation after another.
 
-Written from the paper (equation numbers in brackets) and paper-notes, not from the kernels, and used by tests only.
+Written from the paper (equation numbers in brackets) and docs/decisions.md, not from the kernels; for tests only.
 Robot i's yaw frame is R_i = Rz(yaw_i); "camera", "yaw", "power" and "gains" are the settings classes of these names.
 """
 
@@ -169,7 +169,7 @@ def lambda2_v2(A, like=None):
 
 
 def V(lambda2, scenario, gains):
-    """The cost of Fig. 2 (paper-notes 3)."""
+    """The cost of Fig. 2 (docs/decisions.md)."""
     low, high = scenario.lambda2_min, scenario.lambda2_max
     return gains.k_v * (high - lambda2) ** 2 / (lambda2 - low) if lambda2 < high else 0.0
 
@@ -204,7 +204,7 @@ def maintain(own, neighbors, scenario, gains):
 
 
 def repel(ranges, gains):
-    """Sum of the v_obs of Sec. III-D: a gain with an asymptote at d_min_obs, flat at d_max_obs (paper-notes 3)."""
+    """Sum of the v_obs of Sec. III-D: a gain with an asymptote at d_min_obs, flat at d_max_obs (docs/decisions.md)."""
     v = np.zeros(3)
     for row in ranges:
         o = np.array([row.x, row.y, row.z], float)
@@ -266,7 +266,7 @@ class YawEstimator:
             mutual = min(np.hypot(*b_ij[:2]), np.hypot(*b_ji[:2])) > LEVEL
             psi_direct = np.arctan2(b_ij[1], b_ij[0]) - np.arctan2(-b_ji[1], -b_ji[0])
 
-        if not self.valid and mutual:  # paper-notes 4: the first reliable value at once
+        if not self.valid and mutual:  # docs/decisions.md: the first reliable value at once
             self.psi, self.valid = psi_direct, True
         elif not self.valid and k2 >= RELIABLE:
             self.psi, self.valid = psi_hat, True
@@ -284,7 +284,7 @@ class YawEstimator:
     def observe(self, sight, v_i, w_i, heard, yaw, dt):
         """(15) over one tick; the part that i's own motion explains is carried exactly."""
         if self.p_hat is None:
-            self.p, self.p_hat, self.q = sight, sight, np.zeros(3)  # paper-notes 4: e = 0
+            self.p, self.p_hat, self.q = sight, sight, np.zeros(3)  # docs/decisions.md: e = 0
             self.since = self.lapse = 0.0
             return
         self.since += dt
@@ -307,7 +307,7 @@ class YawEstimator:
         self.p, self.lapse = sight, 0.0
 
 
-# ------------------------------------------------------------------------------ lambda2 estimator, paper-notes 5
+# ------------------------------------------------------------------------------ lambda2 estimator
 class PowerIteration:
     """The estimators of all N robots at once: vectors (N,), the matrices L and M of the whole team."""
 

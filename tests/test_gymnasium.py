@@ -1,5 +1,8 @@
 """The joint and the vector environment: checkers, autoreset modes, and the same bits as single worlds."""
 
+import copy
+import pickle
+
 import gymnasium
 import numpy as np
 import pytest
@@ -51,8 +54,12 @@ def test_joint_env_needs_a_reset():
 
 def test_joint_env_renders():
     env = JointEnv(render_mode="rgb_array", **SHORT)
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.render()
     env.reset(seed=0)
     picture = env.render()
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(env)).render(), picture)
+    np.testing.assert_array_equal(copy.deepcopy(env).render(), picture)
     assert picture.shape == (480, 640, 3)
     assert picture.std() > 1
 

@@ -1,4 +1,4 @@
-"""The estimators of relative yaw (15)-(21) and of lambda2 and v2 (paper-notes 5) against `reference`."""
+"""The estimators of relative yaw (15)-(21) and of lambda2 and v2 against `reference`."""
 
 import numpy as np
 import pytest

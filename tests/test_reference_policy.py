@@ -198,6 +198,23 @@ def test_expert(kind, dynamics):
     assert used > few(100, 5)
 
 
+def test_expert_excites_only_where_there_is_an_estimator():
+    """A robot that is watched, blind and without a yaw creeps forward; not where no yaw can ever come."""
+    moves = []
+    for relative_yaw in ("estimated", "none"):
+        scenario = small(n_agents=5, relative_yaw=relative_yaw)
+        policy = Expert(scenario)
+        own, neighbors, ranges = (rows.copy() for rows in policy.rows(Simulator(scenario).reset(6)[0]))
+        for rows in (own, neighbors, ranges):
+            rows[...] = np.zeros((), rows.dtype)
+        neighbors["present"][:, 0], neighbors["f_ji"][:, 0], neighbors["distance"][:, 0] = 1.0, 0.5, 5.0
+        moves.append(np.full((5, 4), np.nan))
+        control(own, neighbors, ranges, policy._params, policy._gains, moves[-1])
+    top = scenario.speed_limit + scenario.stick_speed
+    np.testing.assert_allclose(moves[0], [[Gains().excite / top, 0, 0, 0]] * 5, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(moves[1], 0.0)
+
+
 def test_expert_uses_no_yaw_that_is_not_valid():
     """Who sees a robot that does not see it needs no yaw for this link, and an invalid one does no harm."""
     scenario = small(n_agents=5)

@@ -42,6 +42,7 @@ def run(task, state, world, params, actions, mask, warm_ticks, first, last):
         piece, vertex = world.piece[b], world.vertex[b]
         stick_x, stick_y, stick_z = episode.stick_x, episode.stick_y, episode.stick_z
         ticks = p.ticks if task == ADVANCE else warm_ticks
+        slots = state.mail.shape[1]  # rounds a message travels
         if task == ADVANCE:
             obey(bodies, actions[b], stick_x, stick_y, stick_z, p)
         else:
@@ -61,9 +62,10 @@ def run(task, state, world, params, actions, mask, warm_ticks, first, last):
                     reveal_lambda2(beliefs, episode.lambda2, v2)
             sense(bodies, pairs, own, sights, tracks, episode, p)
             for _ in range(p.rounds):
-                mail = state.mail[b, episode.n_rounds % state.mail.shape[1]]
+                slot = episode.n_rounds % slots
+                mail = state.mail[b, slot]
                 exchange(mail, inboxes, p)
-                estimate_lambda2(beliefs, tracks, mail, inboxes, episode.n_rounds % state.mail.shape[1] == 0, p)
+                estimate_lambda2(beliefs, tracks, mail, inboxes, slot == 0, p)
                 write(mail, own, tracks, beliefs)
                 transmit(mail, pairs, infos, episode.key, episode.n_rounds, p)
                 episode.n_rounds += 1
