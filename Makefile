@@ -1,22 +1,24 @@
 # Everything runs in a virtual environment of its own. `make` alone lists the targets.
 PYTHON ?= python3
 VENV ?= .venv
+LIBRARIES ?= .venvs
 WORKERS ?= 2
 ARGS ?=
 
 BIN := $(VENV)/bin
 # -qq hides progress and warnings about indexes, never an error. No isolation: the build tools are pinned as well.
 # No compiling: Python does it for what is imported, which halves the wait.
-PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-compile --no-build-isolation -c constraints.txt
+INSTALL := -m pip install -qq --disable-pip-version-check --no-compile --no-build-isolation
+PIP := $(BIN)/python $(INSTALL) -c constraints.txt
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast lint format clean
+.PHONY: help demo test test-fast test-integrations lint format clean
 .NOTPARALLEL:
 
 help:  ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
-	@echo 'demo and test-fast hand ARGS on: make demo ARGS="--seed 3", make test-fast ARGS="-k camera"'
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-17s %s\n", $$1, $$2 }' Makefile
+	@echo 'demo, test-fast and test-integrations hand ARGS on: make demo ARGS="--seed 3", make test-fast ARGS="-k camera"'
 
 demo: $(VENV)/installed-demo  ## the paper's experiment: a table here, figures and an animation in out/demo/
 	$(BIN)/fovconn demo $(ARGS)
@@ -28,6 +30,10 @@ test: $(VENV)/installed-test  ## the whole suite, then the part of it that also 
 test-fast: $(VENV)/installed-test  ## the suite without its long statistics
 	$(PYTEST) -m "not slow" $(ARGS)
 
+test-integrations: $(LIBRARIES)/current/installed $(LIBRARIES)/older/installed  ## docs/examples, each with its library (torch, 3 GB)
+	$(LIBRARIES)/current/bin/python -m pytest tests/integrations tests/test_sb3.py $(ARGS)
+	$(LIBRARIES)/older/bin/python -m pytest tests/integrations $(ARGS)
+
 lint: $(VENV)/installed-dev  ## ruff (rules and format) and pyright
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -37,8 +43,8 @@ format: $(VENV)/installed-dev  ## let ruff format the code and sort the imports
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-clean:  ## remove the virtual environment, caches and builds; out/ stays
-	rm -rf $(VENV) build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
+clean:  ## remove the virtual environments, caches and builds; out/ stays
+	rm -rf $(VENV) $(LIBRARIES) build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Stamps: an install runs again only when pyproject.toml or constraints.txt changed.
@@ -63,4 +69,13 @@ $(VENV)/installed-test: $(VENV)/installed-demo
 $(VENV)/installed-dev: $(VENV)/installed-demo
 	@echo "installing ruff and pyright (about 5 s) ..."
 	@$(PIP) -e '.[demo,dev]'
+	@touch $@
+
+# One virtual environment for each list of versions in tests/integrations/; made anew when that list changed.
+$(LIBRARIES)/%/installed: tests/integrations/%.txt pyproject.toml constraints.txt
+	@echo "installing the libraries of $< in $(@D) (about 40 s) ..."
+	@rm -rf $(@D)
+	@$(PYTHON) -m venv $(@D)
+	@$(@D)/bin/python $(INSTALL) -c constraints.txt hatchling editables setuptools
+	@$(@D)/bin/python $(INSTALL) -r $< -e .
 	@touch $@
