@@ -1,6 +1,7 @@
 """The examples with the libraries they are for: `make test-integrations`. Skipped where the library is missing."""
 
 import importlib.util
+import warnings
 from pathlib import Path
 from types import ModuleType
 
@@ -16,7 +17,9 @@ def example(name: str) -> ModuleType:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what the library says about itself while it is imported
+        spec.loader.exec_module(module)
     return module
 
 
