@@ -8,7 +8,8 @@ import math
 import numpy as np
 from numba.core import config
 
-from fovconn_env.kernel import types
+from fovconn_env.kernel import spectrum, types
+from fovconn_env.kernel.jit import entry
 from fovconn_env.scenarios import Scenario, scenario
 from fovconn_env.settings import Course
 from fovconn_env.simulator import Simulator
@@ -28,6 +29,16 @@ def few(many: int, without_jit: int) -> int:
 def small(name: str = "LeaderFollow-v0", **changes) -> Scenario:
     """A preset with four robots and a short warm-up, cheap without the JIT as well."""
     return scenario(name, **{"n_agents": 4, "warmup": 0.1 if JIT else 0.02, **changes})
+
+
+def fiedler(A: np.ndarray, v2: np.ndarray) -> float:
+    """lambda2 of a graph with weights A (N, N) from the kernel; v2 (N,) gets the eigenvector."""
+    return _fiedler(ref.laplacian(A), v2, np.full((spectrum.N_VECTORS, len(v2)), np.nan))
+
+
+@entry
+def _fiedler(laplacian, v2, vectors):
+    return spectrum.fiedler(laplacian, v2, vectors)
 
 
 def records(kind: np.dtype, count: int | tuple[int, ...] = 1, **fields) -> np.ndarray:

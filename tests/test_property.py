@@ -7,14 +7,13 @@ import inspect
 import numpy as np
 import pytest
 
-from fovconn_env.kernel import lambda2_estimator, observe, radio, spectrum, step, yaw_estimator
-from fovconn_env.kernel.jit import entry
+from fovconn_env.kernel import lambda2_estimator, observe, radio, step, yaw_estimator
 from fovconn_env.maps import Map
 from fovconn_env.settings import Airframe, Camera, Clock, Course, Noise, Radio
 from fovconn_env.simulator import Simulator
 from fovconn_env.world import NO_ACTIONS, Start
 from tests import reference as ref
-from tests.helpers import contents, differing, draw_team, few, recorded_actions, small
+from tests.helpers import contents, differing, draw_team, few, fiedler, recorded_actions, small
 
 pytestmark = pytest.mark.nojit
 
@@ -40,11 +39,6 @@ def pillars():
 
 
 # ---------------------------------------------------------------------------------------------------- the graph
-@entry
-def fiedler(A, v2):
-    return spectrum.fiedler(A, v2)
-
-
 def connected(A):
     reach = np.eye(len(A)) + (A > 0)
     return bool((np.linalg.matrix_power(reach, len(A)) > 0).all())

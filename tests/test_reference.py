@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from fovconn_env import layout
-from fovconn_env.kernel import camera, kinematic, rangefinder, spectrum, types, weights
+from fovconn_env.kernel import camera, kinematic, rangefinder, types, weights
 from fovconn_env.kernel.jit import entry
 from fovconn_env.maps import Map
 from fovconn_env.settings import Camera, Rangefinder
 from tests import reference as ref
-from tests.helpers import KINDS, bodies_of, draw_team, few, records, small
+from tests.helpers import KINDS, bodies_of, draw_team, few, fiedler, records, small
 
 pytestmark = pytest.mark.nojit
 
@@ -177,11 +177,6 @@ def test_see_with_a_wrong_attitude():
 
 
 # ------------------------------------------------------------------------------------------------------ spectrum
-@entry
-def fiedler(A, v2):
-    return spectrum.fiedler(A, v2)
-
-
 def random_graph(rng, n, density):
     A = np.triu(rng.random((n, n)) * (rng.random((n, n)) < density), 1)
     return A + A.T

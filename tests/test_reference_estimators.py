@@ -206,8 +206,8 @@ def message_round(beliefs, tracks, mail, inboxes, links, own, p):
         lambda2_estimator.agree(tracks[i], mail[i], inboxes[i], p[0])
         lambda2_estimator.power_round(beliefs[i], tracks[i], mail[i], inboxes[i], p[0])
     for i in range(n):
-        radio.speak(mail[i], own[i], tracks[i], beliefs[i])
         for j in range(n):
+            radio.speak(mail[i, j], own[i], tracks[i, j], beliefs[i])
             mail[i, j].arrives = links[i, j]
 
 
@@ -245,7 +245,8 @@ def test_power_iteration_round_by_round(kind):
 @entry
 def speak_again(mail, own, tracks, beliefs):
     for i in range(len(beliefs)):
-        radio.speak(mail[i], own[i], tracks[i], beliefs[i])
+        for j in range(len(beliefs)):
+            radio.speak(mail[i, j], own[i], tracks[i, j], beliefs[i])
 
 
 def test_power_iteration_finds_lambda2():

@@ -26,8 +26,8 @@ _SOURCES = sorted(Path(__file__).parent.glob("*.py"))
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a function that only compiled code calls."""
-    return cast("Callable[P, R]", numba.njit(function, fastmath=False))
+    """Compile a function that only compiled code calls. It makes no array, so references need not be counted."""
+    return cast("Callable[P, R]", numba.njit(function, fastmath=False, _nrt=False))
 
 
 def entry(function: Callable[P, R]) -> Callable[P, R]:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from fovconn_env.kernel.jit import kernel
 from fovconn_env.kernel.pilot import NOBODY
 from fovconn_env.kernel.spectrum import fiedler
@@ -42,14 +40,17 @@ def weigh(pairs, infos, p):
 
 
 @kernel
-def connectivity(pairs, v2):
-    """True lambda2 of the weights `weigh` has set; v2 (N,) gets the unit eigenvector."""
+def connectivity(pairs, v2, laplacian, vectors):
+    """True lambda2 of the weights `weigh` has set; v2 (N,) gets the unit eigenvector. The rest is scratch."""
     n = pairs.shape[0]
-    weights = np.empty((n, n))
     for i in range(n):
+        degree = 0.0
         for j in range(n):
-            weights[i, j] = pairs[i, j].weight
-    return fiedler(weights, v2)
+            if j != i:
+                degree += pairs[i, j].weight
+                laplacian[i, j] = -pairs[i, j].weight
+        laplacian[i, i] = degree
+    return fiedler(laplacian, v2, vectors)
 
 
 @kernel

@@ -30,24 +30,22 @@ def exchange(mail, inboxes, p):
 
 
 @kernel
-def speak(letters, own, tracks, belief):
-    """Write robot i's messages to everyone, from what i has on board; all arguments are i's own slices."""
-    for j in range(letters.shape[0]):
-        letter, track = letters[j], tracks[j]
-        letter.seen = 1.0 if track.held else 0.0
-        letter.px, letter.py, letter.pz = track.x * letter.seen, track.y * letter.seen, track.z * letter.seen
-        letter.gamma, letter.f = track.gamma, track.f
-        letter.cos_yaw, letter.sin_yaw, letter.yaw_valid = track.cos_yaw, track.sin_yaw, 1.0 if track.valid else 0.0
-        letter.vx, letter.vy, letter.vz, letter.yaw_rate = own.vx, own.vy, own.vz, own.yaw_rate
-        letter.roll, letter.pitch = own.roll, own.pitch
-        letter.x, letter.degree = belief.x, belief.degree
-        letter.y1, letter.y2, letter.y3 = belief.y1, belief.y2, belief.y3
-        letter.q1, letter.q2, letter.q3 = belief.q1, belief.q2, belief.q3
+def speak(letter, own, track, belief):
+    """Write robot i's message to j from what i has on board: its own motion, its record of j, its belief."""
+    seen = 1.0 if track.held else 0.0
+    letter.seen, letter.px, letter.py, letter.pz = seen, track.x * seen, track.y * seen, track.z * seen
+    letter.gamma, letter.f = track.gamma, track.f
+    letter.cos_yaw, letter.sin_yaw, letter.yaw_valid = track.cos_yaw, track.sin_yaw, 1.0 if track.valid else 0.0
+    letter.vx, letter.vy, letter.vz, letter.yaw_rate = own.vx, own.vy, own.vz, own.yaw_rate
+    letter.roll, letter.pitch = own.roll, own.pitch
+    letter.x, letter.degree = belief.x, belief.degree
+    letter.y1, letter.y2, letter.y3 = belief.y1, belief.y2, belief.y3
+    letter.q1, letter.q2, letter.q3 = belief.q1, belief.q2, belief.q3
 
 
 @kernel
 def transmit(mail, pairs, infos, key, number, p):
-    """Decide which of the messages just written go on the air (linked pairs) and which get through; count bytes."""
+    """Decide which messages of this round go on the air (linked pairs) and which of them get through; count bytes."""
     n = mail.shape[0]
     for i in range(n):
         for j in range(n):

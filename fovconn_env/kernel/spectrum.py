@@ -1,119 +1,110 @@
-"""True lambda2 and v2 of a weighted graph: the Laplacian, Householder reduction and implicit QL steps."""
+"""True lambda2 and v2 of a weighted graph: Householder reduction, implicit QL steps, inverse iteration.
+
+All in O(N^3) with a small factor: only the reduction to a tridiagonal touches the whole matrix. Sections are of Golub
+and Van Loan, Matrix Computations.
+"""
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from fovconn_env.kernel.jit import kernel
+
+N_VECTORS = 8  # rows of scratch that `fiedler` needs
+_EPSILON = 2.3e-16
+_ROUNDS = 3  # of inverse iteration: one does from any start that is not orthogonal, two from any
 
 
 @kernel
-def fiedler(weights, v2):
-    """lambda2 of the graph with `weights` (N, N), symmetric; writes its unit eigenvector to v2 (N,).
+def fiedler(laplacian, v2, vectors):
+    """lambda2 of a graph from its Laplacian (N, N), symmetric; writes its unit eigenvector to v2 (N,).
 
     v2 keeps the sign that agrees with what it held before; a fresh one (all zero) gets a positive largest entry.
+    Destroys the Laplacian; vectors, (N_VECTORS, N), is scratch.
     """
-    n = weights.shape[0]
-    a, values, off = np.empty((n, n)), np.empty(n), np.empty(n)
-    for i in range(n):
-        total = 0.0
-        for j in range(n):
-            if j != i:
-                total += weights[i, j]
-                a[i, j] = -weights[i, j]
-        a[i, i] = total
+    a, n = laplacian, v2.shape[0]
+    diagonal, off, values, beside, y = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
     # The vector of ones has eigenvalue 0: raise it above all others (at most 2 max degree), so lambda2 is the least.
     lift = 1.0
     for i in range(n):
         lift = max(lift, 2.0 * a[i, i] + 1.0)
     for i in range(n):
-        for j in range(n):
+        for j in range(i + 1):
             a[i, j] += lift / n
-    tridiagonalise(a, values, off)
-    diagonalise(a, values, off)
-    k = 0
+    tridiagonalise(a, diagonal, off, y)
+    for i in range(n):
+        values[i], beside[i] = diagonal[i], off[i]
+    find_values(values, beside)
+    lambda2 = values[0]
     for i in range(1, n):
-        if values[i] < values[k]:
-            k = i
+        lambda2 = min(lambda2, values[i])
+    find_vector(diagonal, off, lambda2, lift, vectors)
+    reflect(a, vectors[4])
     agreement, largest = 0.0, 0.0
     for i in range(n):
-        agreement += v2[i] * a[i, k]
-        if abs(a[i, k]) > abs(largest) + 1e-12:
-            largest = a[i, k]
+        agreement += v2[i] * y[i]
+        if abs(y[i]) > abs(largest) + 1e-12:
+            largest = y[i]
     sign = 1.0 if (agreement if agreement != 0.0 else largest) > 0.0 else -1.0
     for i in range(n):
-        v2[i] = sign * a[i, k]
-    return max(values[k], 0.0)
+        v2[i] = sign * y[i]
+    return max(lambda2, 0.0)
 
 
 @kernel
-def tridiagonalise(a, diagonal, off):
-    """Householder reduction of symmetric a (n, n) to tridiagonal form; a becomes the orthogonal transformation.
+def tridiagonalise(a, diagonal, off, p):
+    """Householder reduction of symmetric a (n, n), lower half, to tridiagonal form (8.3.1). p (n,) is scratch.
 
-    Golub and Van Loan, Matrix Computations, 8.3.1. off[i] couples rows i - 1 and i.
+    off[i] couples rows i and i + 1, off[n - 1] = 0. Row i of a keeps u of its reflection 1 - 2 u u' / |u|^2 of the
+    first i entries, and |u|^2 / 2 at its end, 0 for none.
     """
     n = a.shape[0]
-    off[0] = 0.0
+    off[n - 1] = 0.0
     for i in range(n - 1, 0, -1):  # reflect row i onto its entry i - 1
+        diagonal[i] = a[i, i]
         norm2 = 0.0
         for k in range(i - 1):
             norm2 += a[i, k] * a[i, k]
-        diagonal[i] = 0.0  # holds |u|^2 / 2 of the reflection until the end; 0: none
-        if norm2 == 0.0:
-            off[i] = a[i, i - 1]
-            continue
+        a[i, i] = 0.0
         head = a[i, i - 1]
+        if norm2 == 0.0:
+            off[i - 1] = head
+            continue
         length = math.sqrt(norm2 + head * head)
         alpha = -length if head > 0.0 else length
-        off[i] = alpha
-        a[i, i - 1] = head - alpha  # row i now holds u
         half = length * (length + abs(head))
-        diagonal[i] = half
+        off[i - 1], a[i, i - 1], a[i, i] = alpha, head - alpha, half
+        for j in range(i):  # p = A u / half, a row of the lower half serving as a column, too
+            p[j] = 0.0
+        for j in range(i):
+            u, total = a[i, j], a[j, j] * a[i, j]
+            for k in range(j):
+                total += a[j, k] * a[i, k]
+                p[k] += a[j, k] * u
+            p[j] += total
         share = 0.0
-        for j in range(i):  # p = A u / half, kept in column i
-            total = 0.0
-            for k in range(i):
-                total += (a[j, k] if k <= j else a[k, j]) * a[i, k]
-            a[j, i] = total / half
-            share += a[j, i] * a[i, j]
+        for j in range(i):
+            p[j] /= half
+            share += p[j] * a[i, j]
         share /= 2.0 * half
         for j in range(i):  # q = p - share u; A -= u q' + q u'
-            a[j, i] -= share * a[i, j]
+            p[j] -= share * a[i, j]
         for j in range(i):
+            u, q = a[i, j], p[j]
             for k in range(j + 1):
-                a[j, k] -= a[i, j] * a[k, i] + a[j, i] * a[i, k]
-    diagonal[0] = 0.0
-    for i in range(n):  # collect the reflections, smallest first
-        half = diagonal[i]
-        if half != 0.0:
-            for j in range(i):
-                total = 0.0
-                for k in range(i):
-                    total += a[i, k] * a[k, j]
-                total /= half
-                for k in range(i):
-                    a[k, j] -= total * a[i, k]
-        diagonal[i] = a[i, i]
-        a[i, i] = 1.0
-        for j in range(i):
-            a[i, j] = a[j, i] = 0.0
+                a[j, k] -= u * p[k] + q * a[i, k]
+    diagonal[0] = a[0, 0]
 
 
 @kernel
-def diagonalise(vectors, diagonal, off):
-    """Implicit QL with Wilkinson's shift (Golub and Van Loan, 8.3.3); `vectors` (n, n) collects the rotations."""
+def find_values(diagonal, off):
+    """Eigenvalues of a tridiagonal by implicit QL with Wilkinson's shift (8.3.3), in place of its diagonal (n,)."""
     n = diagonal.shape[0]
-    for i in range(1, n):
-        off[i - 1] = off[i]
-    off[n - 1] = 0.0
     for low in range(n):
         for _ in range(50):
             m = low
             while m < n - 1:
-                scale = abs(diagonal[m]) + abs(diagonal[m + 1])
-                if abs(off[m]) <= 2.3e-16 * scale:
+                if abs(off[m]) <= _EPSILON * (abs(diagonal[m]) + abs(diagonal[m + 1])):
                     break
                 m += 1
             if m == low:
@@ -139,11 +130,66 @@ def diagonalise(vectors, diagonal, off):
                 shift = s * r
                 diagonal[i + 1] = g + shift
                 g = c * r - b
-                for k in range(n):
-                    f = vectors[k, i + 1]
-                    vectors[k, i + 1] = s * vectors[k, i] + c * f
-                    vectors[k, i] = c * vectors[k, i] - s * f
             if finished:
                 diagonal[low] -= shift
                 off[low] = g
                 off[m] = 0.0
+
+
+@kernel
+def find_vector(diagonal, off, value, size, vectors):
+    """Unit eigenvector of a tridiagonal for an eigenvalue, by inverse iteration (8.2.2), into row 4 of vectors.
+
+    size: of the largest eigenvalue. Rows 2, 3, 5, 6 and 7 of vectors are scratch.
+    """
+    n = diagonal.shape[0]
+    pivot, next1, next2, share, swapped = vectors[2], vectors[3], vectors[5], vectors[6], vectors[7]
+    y = vectors[4]
+    d, e = diagonal[0] - value, off[0]  # the row being eliminated
+    for i in range(1, n):  # LU with row exchanges of T - value
+        below = off[i - 1]
+        if abs(below) > abs(d):
+            swapped[i], share[i] = 1.0, d / below
+            pivot[i - 1], next1[i - 1], next2[i - 1] = below, diagonal[i] - value, off[i]
+            d, e = e - share[i] * next1[i - 1], -share[i] * next2[i - 1]
+        else:
+            pivot[i - 1] = d if abs(d) > _EPSILON * size else _EPSILON * size
+            swapped[i], share[i] = 0.0, below / pivot[i - 1]
+            next1[i - 1], next2[i - 1] = e, 0.0
+            d, e = diagonal[i] - value - share[i] * e, off[i]
+    pivot[n - 1] = d if abs(d) > _EPSILON * size else _EPSILON * size
+    next1[n - 1] = next2[n - 1] = 0.0
+    for i in range(n):
+        y[i] = 1.0 / (1.0 + i)
+    for _ in range(_ROUNDS):
+        for i in range(1, n):
+            if swapped[i] > 0.0:
+                y[i - 1], y[i] = y[i], y[i - 1]
+            y[i] -= share[i] * y[i - 1]
+        square = 0.0
+        for i in range(n - 1, -1, -1):
+            total = y[i]
+            if i < n - 1:
+                total -= next1[i] * y[i + 1]
+            if i < n - 2:
+                total -= next2[i] * y[i + 2]
+            y[i] = total / pivot[i]
+            square += y[i] * y[i]
+        scale = 1.0 / math.sqrt(square)
+        for i in range(n):
+            y[i] *= scale
+
+
+@kernel
+def reflect(a, y):
+    """Carry an eigenvector of the tridiagonal back to one of the matrix, with what `tridiagonalise` left in a."""
+    for i in range(1, y.shape[0]):
+        half = a[i, i]
+        if half == 0.0:
+            continue
+        total = 0.0
+        for k in range(i):
+            total += a[i, k] * y[k]
+        total /= half
+        for k in range(i):
+            y[k] -= total * a[i, k]

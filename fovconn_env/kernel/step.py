@@ -6,6 +6,8 @@ slices and nothing else.
 
 from __future__ import annotations
 
+import numpy as np
+
 from fovconn_env.kernel import lambda2_estimator, random, yaw_estimator
 from fovconn_env.kernel.camera import feel, look, see
 from fovconn_env.kernel.geometry import clearance
@@ -18,6 +20,7 @@ from fovconn_env.kernel.pilot import NOBODY, steer
 from fovconn_env.kernel.quadrotor import fly, hover
 from fovconn_env.kernel.radio import exchange, speak, transmit
 from fovconn_env.kernel.rangefinder import scan
+from fovconn_env.kernel.spectrum import N_VECTORS
 from fovconn_env.kernel.yaw_estimator import attend, estimate_yaw
 
 ADVANCE, BEGIN = range(2)
@@ -32,6 +35,8 @@ def run(task, state, world, params, actions, mask, warm_ticks, first, last):
     z, yaw), key and max_steps; the estimators then warm up for `warm_ticks`, bodies held, the clock at 0. One entry
     for both, because each entry compiles everything below it.
     """
+    n = state.body.shape[1]
+    laplacian, vectors = np.empty((n, n)), np.empty((N_VECTORS, n))  # scratch
     for b in range(first, last):
         episode, p = state.episode[b], params[b]
         if (task == BEGIN and not mask[b]) or (task == ADVANCE and episode.over):
@@ -57,7 +62,7 @@ def run(task, state, world, params, actions, mask, warm_ticks, first, last):
             touch(bodies, piece, vertex, episode, p)
             if tick == ticks - 1:
                 episode.n_edges = weigh(pairs, infos, p)
-                episode.lambda2 = connectivity(pairs, v2)
+                episode.lambda2 = connectivity(pairs, v2, laplacian, vectors)
                 if p.lambda2 == lambda2_estimator.TRUE:
                     reveal_lambda2(beliefs, episode.lambda2, v2)
             sense(bodies, pairs, own, sights, tracks, episode, p)
@@ -66,8 +71,8 @@ def run(task, state, world, params, actions, mask, warm_ticks, first, last):
                 mail = state.mail[b, slot]
                 exchange(mail, inboxes, p)
                 estimate_lambda2(beliefs, tracks, mail, inboxes, slot == 0, p)
-                write(mail, own, tracks, beliefs)
                 transmit(mail, pairs, infos, episode.key, episode.n_rounds, p)
+                write(mail, own, tracks, beliefs)
                 episode.n_rounds += 1
             orient(tracks, sights, own, inboxes, p)
             if p.relative_yaw != yaw_estimator.ESTIMATED:
@@ -156,9 +161,12 @@ def estimate_lambda2(beliefs, tracks, mail, inboxes, due, p):
 
 @kernel
 def write(mail, own, tracks, beliefs):
-    """Every robot writes its messages."""
-    for i in range(beliefs.shape[0]):
-        speak(mail[i], own[i], tracks[i], beliefs[i])
+    """Every robot writes its messages; those that do not go on the air need no text."""
+    n = own.shape[0]
+    for i in range(n):
+        for j in range(n):
+            if mail[i, j].sent:
+                speak(mail[i, j], own[i], tracks[i, j], beliefs[i])
 
 
 @kernel

@@ -17,7 +17,7 @@ Fields = list[tuple[str, str]]
 
 
 def _record(fields: Fields) -> np.dtype:
-    return np.dtype((np.record, fields), align=True)
+    return np.dtype((np.record, np.dtype(fields, align=True)))
 
 
 def _numbers(names: str) -> Fields:
