@@ -76,8 +76,8 @@ ACTION = (
     Column("yaw_rate", "share", "yaw", -1.0, 1.0, "yaw rate / its limit"),
 )
 
-# What travels from i to j in one message round.
-MESSAGE = (
+# What travels from i to j in one message round: a note for j alone, and what i tells everyone.
+NOTE = (
     Column("seen", "0/1", "-", 0.0, 1.0, "1 when the sender's camera sees the receiver"),
     *_vector("p", "xyz", "m", "sender's yaw", "distance", "measured p_ij (2), zero when not seen"),
     Column("gamma", "-", "-", 0.0, 1.0, "range weight (9) of the measured distance"),
@@ -85,6 +85,8 @@ MESSAGE = (
     Column("cos_yaw", "-", "-", -1.0, 1.0, "cosine of the sender's relative-yaw estimate (19)"),
     Column("sin_yaw", "-", "-", -1.0, 1.0, "sine of it"),
     Column("yaw_valid", "0/1", "-", 0.0, 1.0, "1 when that estimate may be used"),
+)
+BROADCAST = (
     *(column._replace(frame="sender's yaw", meaning="sender's " + column.meaning) for column in _MOTION),
     Column("x", "-", "-", "-inf", "inf", "power iteration's entry of the eigenvector"),
     *(Column(f"y{k}", "-", "-", "-inf", "inf", f"consensus estimate {k}: mean of {what}")
@@ -92,6 +94,7 @@ MESSAGE = (
     *(Column(f"q{k}", "-", "-", "-inf", "inf", f"integral state of consensus {k}") for k in (1, 2, 3)),
     Column("degree", "robots", "-", 0.0, "inf", "links the sender used in its last round"),
 )  # fmt: skip
+MESSAGE = (*NOTE, *BROADCAST)
 BYTES_PER_MESSAGE = 4 * len(MESSAGE)  # on air every field is one 32-bit number
 
 # One robot's part of the privileged state; `yaw` here is the leader's.

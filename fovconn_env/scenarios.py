@@ -182,6 +182,8 @@ class Scenario:
         values: dict[str, Any] = {name: words.index(getattr(self, name)) for name, words in SWITCHES.items()}
         round_time = clock.tick / clock.rounds
         values |= {"round_time": round_time, "travel_time": self.radio.delay * round_time, "step_time": self.step_time}
+        quiet = max(self.camera.coast, self.radio.memory + values["travel_time"])
+        values["rest_ticks"] = math.ceil(quiet / clock.tick) + 2
         values |= dict(zip(("axis_x", "axis_y", "axis_z"), axis, strict=True))
         for item in dataclasses.fields(self):
             value = getattr(self, item.name)

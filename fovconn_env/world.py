@@ -50,6 +50,7 @@ def allocate(scenario: Scenario, n_worlds: int, n_pieces: int, n_vertices: int) 
         pair=np.zeros((b, n, n), types.PAIR),
         own=np.zeros((b, n), types.OWN),
         sight=np.zeros((b, n, n), types.SIGHT),
+        post=np.zeros((b, scenario.radio.delay, n), types.POST),
         mail=np.zeros((b, scenario.radio.delay, n, n), types.MAIL),
         inbox=np.zeros((b, n, n), types.INBOX),
         track=np.zeros((b, n, n), types.TRACK),

@@ -21,27 +21,40 @@ def look(bodies, pairs, piece, vertex, p):
     for i in range(n):
         bodies[i].nearest = math.inf
     for i in range(n):
+        a = bodies[i]
         for j in range(i + 1, n):
-            a, b, ij, ji = bodies[i], bodies[j], pairs[i, j], pairs[j, i]
+            b, ij, ji = bodies[j], pairs[i, j], pairs[j, i]
             dx, dy, dz = b.x - a.x, b.y - a.y, b.z - a.z
             distance = math.sqrt(dx * dx + dy * dy + dz * dz)
             near = max(distance, 1e-9)
             ij.distance = ji.distance = distance
             a.nearest, b.nearest = min(a.nearest, distance), min(b.nearest, distance)
-            ij.cosine = (
-                a.ox * (a.cos_yaw * dx + a.sin_yaw * dy) + a.oy * (a.cos_yaw * dy - a.sin_yaw * dx) + a.oz * dz
-            ) / near
-            ji.cosine = (
-                -(b.ox * (b.cos_yaw * dx + b.sin_yaw * dy) + b.oy * (b.cos_yaw * dy - b.sin_yaw * dx) + b.oz * dz)
-                / near
-            )
+            a_ij = (a.ox * (a.cos_yaw * dx + a.sin_yaw * dy) + a.oy * (a.cos_yaw * dy - a.sin_yaw * dx) + a.oz * dz) / near
+            a_ji = -(b.ox * (b.cos_yaw * dx + b.sin_yaw * dy) + b.oy * (b.cos_yaw * dy - b.sin_yaw * dx) + b.oz * dz) / near
             in_range = p.d_min < distance < p.d_max
-            wanted = in_range and (ij.cosine > p.a_min or ji.cosine > p.a_min)
+            wanted = in_range and (a_ij > p.a_min or a_ji > p.a_min)
             blocked = p.occlusion and wanted and sight_blocked(a.x, a.y, a.z, b.x, b.y, b.z, piece, vertex)
-            ij.blocked = ji.blocked = blocked
-            ij.seen = in_range and ij.cosine > p.a_min and not blocked  # f*_ij > 0 (10)
-            ji.seen = in_range and ji.cosine > p.a_min and not blocked
-            ij.linked = ji.linked = (ij.seen or ji.seen) if p.link == BY_SIGHT else distance < p.d_max
+            linked = wanted and not blocked if p.link == BY_SIGHT else distance < p.d_max
+            ij.cosine, ji.cosine, ij.blocked, ji.blocked = a_ij, a_ji, blocked, blocked
+            ij.seen = in_range and a_ij > p.a_min and not blocked  # f*_ij > 0 (10)
+            ji.seen = in_range and a_ji > p.a_min and not blocked
+            ij.linked = ji.linked = linked
+            ij.asleep = ji.asleep = 0 if linked else min(ij.asleep + 1, p.rest_ticks)
+
+
+@kernel
+def muster(pairs, contacts, counts, p):
+    """List for each robot those it has to do with: linked, or lately enough that something of it is left on board.
+
+    contacts (N, N), row i holds counts[i] robots in ascending order. Nothing changes between the others.
+    """
+    n = pairs.shape[0]
+    for i in range(n):
+        count = 0
+        for j in range(n):
+            contacts[i, count] = j
+            count += j != i and pairs[i, j].asleep < p.rest_ticks
+        counts[i] = count
 
 
 @kernel
@@ -61,26 +74,22 @@ def feel(body, own, i, key, tick, p):
 
 
 @kernel
-def see(bodies, pairs, own, sights, i, key, tick, p):
-    """What robot i's camera reports: p_ij (2) of every robot it sees, in its yaw frame, de-tilted with its own IMU."""
-    me, n = bodies[i], bodies.shape[0]
-    exact = own.roll == me.roll and own.pitch == me.pitch
-    for j in range(n):
-        sight = sights[j]
-        sight.seen = j != i and pairs[i, j].seen
-        if sight.seen and p.miss > 0.0:
-            sight.seen = random.uniform(random.draw(key, tick, i * n + j, random.MISS)) >= p.miss
-        if not sight.seen:
-            continue
-        dx, dy, z = bodies[j].x - me.x, bodies[j].y - me.y, bodies[j].z - me.z
-        x, y = me.cos_yaw * dx + me.sin_yaw * dy, me.cos_yaw * dy - me.sin_yaw * dx  # (2)
-        if p.position_noise > 0.0 or p.position_bias > 0.0:
-            a, b, c = _error(key, tick, i * n + j, random.POSITION, p.position_noise, p.position_bias)
-            x, y, z = x + a, y + b, z + c
-        if not exact:
-            x, y, z = untilt(x, y, z, me.roll, me.pitch)  # to the camera, which the body carries
-            x, y, z = tilt(x, y, z, own.roll, own.pitch)  # and back with the attitude it believes
-        sight.x, sight.y, sight.z = x, y, z
+def see(me, it, pair, own, sight, index, key, tick, p):
+    """What a robot's camera reports of another: p_ij (2) in its yaw frame, de-tilted with its own IMU; or nothing."""
+    sight.seen = pair.seen
+    if sight.seen and p.miss > 0.0:
+        sight.seen = random.uniform(random.draw(key, tick, index, random.MISS)) >= p.miss
+    if not sight.seen:
+        return
+    dx, dy, z = it.x - me.x, it.y - me.y, it.z - me.z
+    x, y = me.cos_yaw * dx + me.sin_yaw * dy, me.cos_yaw * dy - me.sin_yaw * dx  # (2)
+    if p.position_noise > 0.0 or p.position_bias > 0.0:
+        a, b, c = _error(key, tick, index, random.POSITION, p.position_noise, p.position_bias)
+        x, y, z = x + a, y + b, z + c
+    if own.roll != me.roll or own.pitch != me.pitch:
+        x, y, z = untilt(x, y, z, me.roll, me.pitch)  # to the camera, which the body carries
+        x, y, z = tilt(x, y, z, own.roll, own.pitch)  # and back with the attitude it believes
+    sight.x, sight.y, sight.z = x, y, z
 
 
 @kernel

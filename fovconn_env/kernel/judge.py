@@ -103,7 +103,7 @@ def crowding(body, p):
 
 
 @kernel
-def tell(bodies, tracks, beliefs, infos, episode, p):
+def tell(bodies, tracks, beliefs, infos, contacts, counts, episode, p):
     """Fill the infos that are not reward terms, link causes, bytes or rows."""
     n = bodies.shape[0]
     for i in range(n):
@@ -112,10 +112,11 @@ def tell(bodies, tracks, beliefs, infos, episode, p):
         info.connected = 1.0 if episode.lambda2 > p.lambda2_min else 0.0
         info.n_edges = episode.n_edges
         info.min_distance, info.clearance = bodies[i].nearest, min(bodies[i].clearance, 1e3)
-        info.yaw_error = 0.0
-        for j in range(n):
-            if j != i and tracks[i, j].present and tracks[i, j].valid:
-                info.yaw_error = max(info.yaw_error, abs(yaw_error(bodies[i], bodies[j], tracks[i, j])))
+        largest = 0.0
+        for j in contacts[i, : counts[i]]:
+            if tracks[i, j].present and tracks[i, j].valid:
+                largest = max(largest, yaw_error(bodies[i], bodies[j], tracks[i, j]))
+        info.yaw_error = 2.0 * math.atan(largest)
         info.success = 1.0 if episode.success else 0.0
         info.collision = 1.0 if episode.collision else 0.0
         info.disconnected = 1.0 if episode.disconnected else 0.0
@@ -123,6 +124,7 @@ def tell(bodies, tracks, beliefs, infos, episode, p):
 
 @kernel
 def yaw_error(a, b, track):
-    """Estimated minus true relative yaw of b seen from a, rad in (-pi, pi]."""
+    """Tangent of half the error of the estimated relative yaw of b seen from a, at least 0 (1e9 at pi)."""
     c, s = a.cos_yaw * b.cos_yaw + a.sin_yaw * b.sin_yaw, a.cos_yaw * b.sin_yaw - a.sin_yaw * b.cos_yaw
-    return math.atan2(track.sin_used * c - track.cos_used * s, track.cos_used * c + track.sin_used * s)
+    cos_error, sin_error = track.cos_used * c + track.sin_used * s, track.sin_used * c - track.cos_used * s
+    return abs(sin_error) / max(1.0 + cos_error, 1e-9)

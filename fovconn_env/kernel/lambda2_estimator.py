@@ -41,27 +41,25 @@ def agreed_weight(said, heard, p):
 
 
 @kernel
-def agree(tracks, said, heard, p):
-    """Bring robot i's link weights up to date: said[j] are its own messages, heard[j] the ones that met them."""
-    for j in range(tracks.shape[0]):
-        if heard[j].fresh:
-            tracks[j].weight = agreed_weight(said[j], heard[j], p)
-        elif heard[j].age >= p.memory:
-            tracks[j].weight = 0.0
+def agree(track, said, heard, p):
+    """Bring robot i's weight of its link to j up to date: its own note to j, and the message that met it."""
+    if heard.news:
+        track.weight = agreed_weight(said, heard, p)
+    elif heard.age >= p.memory:
+        track.weight = 0.0
 
 
 @kernel
-def power_round(belief, tracks, said, heard, p):
-    """One message round of robot i; all arguments are its own slices, as in `agree`.
+def power_round(belief, tracks, s, heard, contacts, p):
+    """One message round of robot i; all arguments are its own slices: s is what it said, heard[j] what met it.
 
-    Where messages travel for several rounds it is called once in as many, so that said is what i still holds.
+    Where messages travel for several rounds it is called once in as many, so that s is what i still holds.
     """
     lx = m1 = m2 = m3 = n1 = n2 = n3 = degree = 0.0
-    n = heard.shape[0]
-    for j in range(n):
+    for j in contacts:
         if not heard[j].fresh:
             continue
-        s, h = said[j], heard[j]
+        h = heard[j]
         w = 1.0 / (1.0 + max(s.degree, h.degree))  # Metropolis weight
         degree += 1.0
         lx += tracks[j].weight * (s.x - h.x)  # (L x)_i
@@ -79,6 +77,11 @@ def power_round(belief, tracks, said, heard, p):
     excess = belief.y2 - 1.0
     x_next = (x - p.power_k1 * belief.y1 - p.power_k2 * lx) / (1.0 + p.power_k3 * max(excess, 0.0))
     belief.x = bounded(x_next - p.power_k3 * min(excess, 0.0) * x)
+
+
+@kernel
+def conclude(belief, n):
+    """Robot i's estimates of lambda2 and of its entry of v2, from its state; n robots."""
     size = max(belief.y2, 1e-6)
     belief.lambda2_hat = min(max(belief.y3 / size, 0.0), float(n))  # Rayleigh quotient
     belief.v2_hat = belief.x / math.sqrt(n * size)

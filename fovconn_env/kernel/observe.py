@@ -20,18 +20,18 @@ def observe_self(row, own, belief, is_leader, stick_x, stick_y, stick_z):
 
 
 @kernel
-def observe_neighbors(rows, tracks, heard, belief, p):
+def observe_neighbors(rows, tracks, heard, belief, contacts, p):
     """Fill robot i's neighbour rows, (M,) NEIGHBOR, nearest first; returns how many neighbours found no row."""
-    n = tracks.shape[0]
+    root = math.sqrt(tracks.shape[0] * max(belief.y2, 1e-6))
     present = 0
-    for j in range(n):
+    for j in contacts:
         if tracks[j].present:
             present += 1
     last, last_distance = -1, -math.inf
     for k in range(rows.shape[0]):
         nearest, least = -1, math.inf
         if k < present:
-            for j in range(n):  # the next one by (distance, index)
+            for j in contacts:  # the next one by (distance, index)
                 d = tracks[j].distance
                 after = d > last_distance or (d == last_distance and j > last)
                 if tracks[j].present and after and d < least:
@@ -40,7 +40,7 @@ def observe_neighbors(rows, tracks, heard, belief, p):
             _clear(rows[k])
             continue
         last, last_distance = nearest, least
-        _describe(rows[k], tracks[nearest], heard[nearest], belief, n, p)
+        _describe(rows[k], tracks[nearest], heard[nearest], root, p)
     return max(present - rows.shape[0], 0)
 
 
@@ -53,7 +53,7 @@ def clip(flat, low, high):
 
 
 @kernel
-def _describe(row, track, heard, belief, n, p):
+def _describe(row, track, heard, root, p):
     row.present = 1.0
     row.f_ij, row.f_ji = track.f, heard.f
     c, s = track.cos_used, track.sin_used
@@ -69,8 +69,7 @@ def _describe(row, track, heard, belief, n, p):
     row.cos_yaw, row.sin_yaw, row.yaw_valid = c, s, 1.0 if track.valid else 0.0
     row.vx, row.vy, row.vz, row.yaw_rate = heard.vx, heard.vy, heard.vz, heard.yaw_rate
     row.roll, row.pitch = heard.roll, heard.pitch
-    size = max(belief.y2, 1e-6)
-    row.v2_hat = heard.x / math.sqrt(n * size)  # on my own scale, so that differences stay true
+    row.v2_hat = heard.x / root  # on my own scale, so that differences stay true
     row.lambda2_hat = heard.y3 / max(heard.y2, 1e-6)
     row.weight, row.age = track.weight, heard.age + p.travel_time
 

@@ -9,19 +9,19 @@ from __future__ import annotations
 import numpy as np
 
 from fovconn_env.kernel import lambda2_estimator, random, yaw_estimator
-from fovconn_env.kernel.camera import feel, look, see
+from fovconn_env.kernel.camera import feel, look, muster, see
 from fovconn_env.kernel.geometry import clearance
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.judge import connectivity, end, reward, tell, weigh
-from fovconn_env.kernel.kinematic import command, glide, stand
-from fovconn_env.kernel.lambda2_estimator import agree, awaken, know, power_round
+from fovconn_env.kernel.kinematic import command, glide, stand, steady
+from fovconn_env.kernel.lambda2_estimator import agree, awaken, conclude, know, power_round
 from fovconn_env.kernel.observe import clip, observe_neighbors, observe_self
 from fovconn_env.kernel.pilot import NOBODY, steer
 from fovconn_env.kernel.quadrotor import fly, hover
-from fovconn_env.kernel.radio import exchange, speak, transmit
+from fovconn_env.kernel.radio import address, announce, meter, receive, transmit
 from fovconn_env.kernel.rangefinder import scan
 from fovconn_env.kernel.spectrum import N_VECTORS
-from fovconn_env.kernel.yaw_estimator import attend, estimate_yaw
+from fovconn_env.kernel.yaw_estimator import attend, estimate_yaw, reckon
 
 ADVANCE, BEGIN = range(2)
 KINEMATIC, QUADROTOR = range(2)  # scenarios.SWITCHES["dynamics"]
@@ -37,6 +37,7 @@ def run(task, state, world, params, actions, mask, warm_ticks, first, last):
     """
     n = state.body.shape[1]
     laplacian, vectors = np.empty((n, n)), np.empty((N_VECTORS, n))  # scratch
+    contacts, counts = np.empty((n, n), np.int64), np.empty(n, np.int64)
     for b in range(first, last):
         episode, p = state.episode[b], params[b]
         if (task == BEGIN and not mask[b]) or (task == ADVANCE and episode.over):
@@ -59,22 +60,24 @@ def run(task, state, world, params, actions, mask, warm_ticks, first, last):
             if task == ADVANCE:
                 move(bodies, flights, episode, p)
             look(bodies, pairs, piece, vertex, p)
+            muster(pairs, contacts, counts, p)
             touch(bodies, piece, vertex, episode, p)
             if tick == ticks - 1:
                 episode.n_edges = weigh(pairs, infos, p)
                 episode.lambda2 = connectivity(pairs, v2, laplacian, vectors)
                 if p.lambda2 == lambda2_estimator.TRUE:
                     reveal_lambda2(beliefs, episode.lambda2, v2)
-            sense(bodies, pairs, own, sights, tracks, episode, p)
-            for _ in range(p.rounds):
+            sense(bodies, pairs, own, sights, tracks, infos, contacts, counts, episode, p)
+            for k in range(p.rounds):
                 slot = episode.n_rounds % slots
-                mail = state.mail[b, slot]
-                exchange(mail, inboxes, p)
-                estimate_lambda2(beliefs, tracks, mail, inboxes, slot == 0, p)
-                transmit(mail, pairs, infos, episode.key, episode.n_rounds, p)
-                write(mail, own, tracks, beliefs)
+                post, mail = state.post[b, slot], state.mail[b, slot]
+                first = (episode.n_rounds - slots) % p.rounds == 0
+                exchange(post, mail, inboxes, tracks, contacts, counts, first, p)
+                if slot == 0 and p.lambda2 == lambda2_estimator.POWER:
+                    estimate_lambda2(beliefs, tracks, post, inboxes, contacts, counts, p)
+                write(post, mail, own, tracks, beliefs, pairs, contacts, counts, k == 0 or slots > 1, episode, p)
                 episode.n_rounds += 1
-            orient(tracks, sights, own, inboxes, p)
+            orient(tracks, sights, own, inboxes, contacts, counts, p)
             if p.relative_yaw != yaw_estimator.ESTIMATED:
                 override_yaw(bodies, tracks, p)
 
@@ -83,14 +86,18 @@ def run(task, state, world, params, actions, mask, warm_ticks, first, last):
         else:
             for i in range(infos.shape[0]):
                 infos[i].bytes_sent = 0.0  # the warm-up's
+        if p.lambda2 == lambda2_estimator.POWER:
+            for i in range(n):
+                conclude(beliefs[i], n)
         arrived = steer(bodies[p.leader_index], world.waypoint[b], world.n_waypoints[b], episode, p)
-        inform(bodies, own, tracks, inboxes, beliefs, state.own_row[b], state.neighbor_row[b], infos, episode, p)
+        own_rows, neighbor_rows = state.own_row[b], state.neighbor_row[b]
+        inform(own, tracks, inboxes, beliefs, contacts, counts, own_rows, neighbor_rows, infos, episode, p)
         measure(bodies, piece, vertex, state.range_row[b], episode, p)
         clip(state.flat[b], world.low, world.high)
         if task == ADVANCE:
             end(episode, arrived, p)
             reward(bodies, infos, state.reward[b], actions[b], episode, stick_x, stick_y, stick_z, p)
-        tell(bodies, tracks, beliefs, infos, episode, p)
+        tell(bodies, tracks, beliefs, infos, contacts, counts, episode, p)
 
 
 @kernel
@@ -115,6 +122,8 @@ def obey(bodies, actions, stick_x, stick_y, stick_z, p):
     for i in range(bodies.shape[0]):
         pull = 1.0 if i == p.leader_index else 0.0
         command(bodies[i], actions[i], pull * stick_x, pull * stick_y, pull * stick_z, p)
+        if p.dynamics == KINEMATIC:
+            steady(bodies[i], p)
 
 
 @kernel
@@ -138,45 +147,57 @@ def touch(bodies, piece, vertex, episode, p):
 
 
 @kernel
-def sense(bodies, pairs, own, sights, tracks, episode, p):
+def sense(bodies, pairs, own, sights, tracks, infos, contacts, counts, episode, p):
     """Odometry, IMU and camera of every robot."""
     n = bodies.shape[0]
     for i in range(n):
+        meter(pairs[i], infos[i], contacts[i, : counts[i]], p)
         feel(bodies[i], own[i], i, episode.key, episode.n_rounds, p)
-    for i in range(n):
-        see(bodies, pairs, own[i], sights[i], i, episode.key, episode.n_rounds, p)
-        for j in range(n):
-            if j != i:
-                attend(tracks[i, j], sights[i, j], own[i], p)
+        reckon(own[i], p)
+        for j in contacts[i, : counts[i]]:
+            see(bodies[i], bodies[j], pairs[i, j], own[i], sights[i, j], i * n + j, episode.key, episode.n_rounds, p)
+            attend(tracks[i, j], sights[i, j], own[i], p)
 
 
 @kernel
-def estimate_lambda2(beliefs, tracks, mail, inboxes, due, p):
-    """On board of every robot: link weights and, when it is due, one round of the power iteration."""
+def exchange(post, mail, inboxes, tracks, contacts, counts, first, p):
+    """Deliver the messages that arrive in this round, those written longest ago; both ends agree on their link."""
+    for i in range(post.shape[0]):
+        for j in contacts[i, : counts[i]]:
+            receive(post[j], mail[j, i], inboxes[i, j], first, p)
+            agree(tracks[i, j], mail[i, j], inboxes[i, j], p)
+
+
+@kernel
+def estimate_lambda2(beliefs, tracks, post, inboxes, contacts, counts, p):
+    """On board of every robot: one round of the power iteration."""
     for i in range(beliefs.shape[0]):
-        agree(tracks[i], mail[i], inboxes[i], p)
-        if due and p.lambda2 == lambda2_estimator.POWER:
-            power_round(beliefs[i], tracks[i], mail[i], inboxes[i], p)
+        power_round(beliefs[i], tracks[i], post[i], inboxes[i], contacts[i, : counts[i]], p)
 
 
 @kernel
-def write(mail, own, tracks, beliefs):
-    """Every robot writes its messages; those that do not go on the air need no text."""
-    n = own.shape[0]
+def write(post, mail, own, tracks, beliefs, pairs, contacts, counts, new, episode, p):
+    """Every robot writes its messages into the slot just emptied; where that holds those of this tick, the notes stay.
+
+    new: it does not.
+    """
+    n = post.shape[0]
     for i in range(n):
-        for j in range(n):
-            if mail[i, j].sent:
-                speak(mail[i, j], own[i], tracks[i, j], beliefs[i])
+        announce(post[i], own[i], beliefs[i])
+        if not new and p.loss == 0.0:
+            continue
+        for j in contacts[i, : counts[i]]:
+            transmit(mail[i, j], pairs[i, j], i * n + j, episode.key, episode.n_rounds, p)
+            if new and mail[i, j].sent:
+                address(mail[i, j], tracks[i, j])
 
 
 @kernel
-def orient(tracks, sights, own, inboxes, p):
-    """On board of every robot: relative yaw of every other."""
-    n = own.shape[0]
-    for i in range(n):
-        for j in range(n):
-            if j != i:
-                estimate_yaw(tracks[i, j], sights[i, j], own[i], inboxes[i, j], p)
+def orient(tracks, sights, own, inboxes, contacts, counts, p):
+    """On board of every robot: relative yaw of every robot that it has to do with."""
+    for i in range(own.shape[0]):
+        for j in contacts[i, : counts[i]]:
+            estimate_yaw(tracks[i, j], sights[i, j], own[i], inboxes[i, j], p)
 
 
 @kernel
@@ -202,12 +223,13 @@ def override_yaw(bodies, tracks, p):
 
 
 @kernel
-def inform(bodies, own, tracks, inboxes, beliefs, own_rows, neighbor_rows, infos, episode, p):
+def inform(own, tracks, inboxes, beliefs, contacts, counts, own_rows, neighbor_rows, infos, episode, p):
     """Write what every robot has on board into its observation."""
-    for i in range(bodies.shape[0]):
-        leads = i == p.leader_index and p.leader != NOBODY
+    for i in range(own.shape[0]):
+        leads, known = i == p.leader_index and p.leader != NOBODY, contacts[i, : counts[i]]
         observe_self(own_rows[i], own[i], beliefs[i], leads, episode.stick_x, episode.stick_y, episode.stick_z)
-        infos[i].neighbors_dropped = observe_neighbors(neighbor_rows[i], tracks[i], inboxes[i], beliefs[i], p)
+        dropped = observe_neighbors(neighbor_rows[i], tracks[i], inboxes[i], beliefs[i], known, p)
+        infos[i].neighbors_dropped = dropped
 
 
 @kernel

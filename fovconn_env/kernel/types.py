@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fovconn_env.layout import INFO, MESSAGE, REWARDS, record
+from fovconn_env.layout import BROADCAST, INFO, MESSAGE, NOTE, REWARDS, Column, record
 
 Fields = list[tuple[str, str]]
 
@@ -24,6 +24,10 @@ def _numbers(names: str) -> Fields:
     return [(name, "f8") for name in names.split()]
 
 
+def _columns(table: tuple[Column, ...]) -> Fields:
+    return [(column.name, "f8") for column in table]
+
+
 # ---------------------------------------------------------------------------------------------------- settings
 # Filled by Scenario.params(): each name is a field of one of the settings classes in scenarios.py, where unit and
 # meaning stand; only the names marked "derived" are computed there.
@@ -34,6 +38,7 @@ PARAMS = _record(
         ("rounds", "i8"),  # per tick
         ("round_time", "f8"),  # s, derived: tick / rounds
         ("travel_time", "f8"),  # s, derived: rounds a message travels
+        ("rest_ticks", "i8"),  # derived: after that long without a link nothing of it is left on board
         ("step_time", "f8"),  # s, derived: tick * ticks
         # switches: index of the chosen word in scenarios.SWITCHES, derived
         *((name, "i8") for name in "dynamics weight lambda2 relative_yaw link leader".split()),
@@ -88,6 +93,7 @@ BODY = _record(
     [
         *_numbers("x y z yaw"),  # world frame
         *_numbers("cos_yaw sin_yaw"),
+        *_numbers("turn_cos turn_sin"),  # half a tick's turn at the commanded yaw rate
         *_numbers("vx vy vz yaw_rate"),  # yaw frame, actual
         *_numbers("roll pitch"),
         *_numbers("ox oy oz"),  # optical axis in the yaw frame, tilted
@@ -117,35 +123,52 @@ PAIR = _record(
         ("blocked", "b1"),  # an obstacle stands in the line of sight
         ("seen", "b1"),  # i's camera can see j now
         ("linked", "b1"),  # messages pass now
+        ("asleep", "i8"),  # ticks since messages passed, up to rest_ticks
         ("weight", "f8"),  # true A_ij at the end of the step
         ("watch", "f8"),  # true f*_ij at the end of the step
     ]
 )
 
 # ------------------------------------------------------------------------------------------ sensors and messages
-OWN = _record(_numbers("vx vy vz yaw_rate roll pitch"))  # odometry and IMU of one robot, yaw frame
+OWN = _record(
+    [
+        *_numbers("vx vy vz yaw_rate roll pitch"),  # odometry and IMU of one robot, yaw frame
+        # and what follows from them for this tick
+        *_numbers("turn_cos turn_sin"),  # turns last tick's yaw frame into this one
+        *_numbers("shift_x shift_y"),  # m, own way since the last tick
+        *_numbers("ox oy oz"),  # optical axis in the yaw frame
+    ]
+)
 SIGHT = _record([("seen", "b1"), *_numbers("x y z")])  # camera of i about j: p_ij (2), yaw frame, de-tilted
-MAIL = _record([("sent", "b1"), ("arrives", "b1"), *((name, "f8") for name in record(MESSAGE, "f8").names or ())])
-INBOX = _record([("fresh", "b1"), ("age", "f8"), *((name, "f8") for name in record(MESSAGE, "f8").names or ())])
+POST = _record(_columns(BROADCAST))  # the part of a robot's messages that is the same for all
+MAIL = _record([("sent", "b1"), ("arrives", "b1"), *_columns(NOTE)])  # the part for one of them
+INBOX = _record(  # what i last heard of j
+    [
+        ("fresh", "b1"),  # heard in this round
+        ("news", "b1"),  # and of another tick than the message before
+        ("age", "f8"),  # s since
+        *_columns(MESSAGE),
+    ]
+)
 
 # ------------------------------------------------------------------------------------------------------ on board
 TRACK = _record(  # what i keeps about j
     [
         ("present", "b1"),  # i sees j, or j says that it sees i
+        ("held", "b1"),  # seen now, or missed for less than `coast`
+        ("tracking", "b1"),  # the observer below runs
+        ("valid", "b1"),  # the relative yaw may be used
         *_numbers("x y z"),  # m, last measured p_ij
         *_numbers("distance"),  # m, measured by whoever sees
         *_numbers("f gamma"),  # f*_ij (10) and gamma (9) of it; zero while not seen
         *_numbers("weight"),  # agreed A_ij (6)
-        ("held", "b1"),  # seen now, or missed for less than `coast`
-        *_numbers("unseen"),  # s since the last sight
-        ("tracking", "b1"),  # the observer below runs
+        *_numbers("unseen"),  # s since the last sight, while held
         *_numbers("since lapse"),  # s since it was acquired, s since its last correction
         *_numbers("lx ly"),  # m, p_ij at that correction, carried along with i's own motion
         *_numbers("ex ey"),  # m/s, e (16)
         *_numbers("qx qy"),  # m/s, v_j filtered alike, j's yaw frame (lag-free option)
         *_numbers("cos_yaw sin_yaw"),  # own estimate, state of (19)
         *_numbers("cos_used sin_used"),  # after averaging with j's in mutual view
-        ("valid", "b1"),
     ]
 )
 BELIEF = _record(_numbers("x y1 y2 y3 q1 q2 q3 degree lambda2_hat v2_hat"))  # lambda2 and v2 estimator of one robot
@@ -179,6 +202,7 @@ class State(NamedTuple):
     pair: np.ndarray  # (B, N, N) PAIR
     own: np.ndarray  # (B, N) OWN
     sight: np.ndarray  # (B, N, N) SIGHT
+    post: np.ndarray  # (B, L, N) POST, on the air: [slot, sender]
     mail: np.ndarray  # (B, L, N, N) MAIL, on the air: [slot, sender, receiver]
     inbox: np.ndarray  # (B, N, N) INBOX: [receiver, sender]
     track: np.ndarray  # (B, N, N) TRACK

@@ -26,24 +26,34 @@ def turned(c, s, angle):
 
 
 @kernel
+def reckon(own, p):
+    """What follows for this tick from robot i's odometry and IMU: its turn and way since the last, its optical axis."""
+    own.turn_cos, own.turn_sin = turned(1.0, 0.0, -own.yaw_rate * p.tick)
+    x, y = turned(own.vx, own.vy, -0.5 * own.yaw_rate * p.tick)
+    own.shift_x, own.shift_y = p.tick * x, p.tick * y
+    own.ox, own.oy, own.oz = p.axis_x, p.axis_y, p.axis_z
+    if own.roll != 0.0 or own.pitch != 0.0:
+        own.ox, own.oy, own.oz = tilt(p.axis_x, p.axis_y, p.axis_z, own.roll, own.pitch)
+
+
+@kernel
 def attend(track, sight, own, p):
     """Take over what the camera says about one robot: position, f*_ij (10) and gamma_ij (9) of it.
 
     A robot that was missed counts as still held for `coast` seconds, with its last values.
     """
-    track.unseen = 0.0 if sight.seen else min(track.unseen + p.tick, 1e3)
-    track.held = sight.seen or (track.held and track.unseen <= p.coast)
-    if not track.held:
-        track.f = track.gamma = 0.0
     if not sight.seen:
+        if track.held:
+            track.unseen += p.tick
+            track.held = track.unseen <= p.coast
+        if not track.held:
+            track.f = track.gamma = 0.0
         return
     x, y, z = sight.x, sight.y, sight.z
     distance = max(math.sqrt(x * x + y * y + z * z), 1e-9)
-    ox, oy, oz = p.axis_x, p.axis_y, p.axis_z
-    if own.roll != 0.0 or own.pitch != 0.0:
-        ox, oy, oz = tilt(ox, oy, oz, own.roll, own.pitch)
+    track.held, track.unseen = True, 0.0
     track.x, track.y, track.z, track.distance = x, y, z, distance
-    track.f = sight_weight((ox * x + oy * y + oz * z) / distance, p)
+    track.f = sight_weight((own.ox * x + own.oy * y + own.oz * z) / distance, p)
     track.gamma = range_weight(distance, p)
 
 
@@ -63,38 +73,33 @@ def estimate_yaw(track, sight, own, heard, p):
         track.cos_used, track.sin_used = track.cos_yaw, track.sin_yaw
         return
     _observe(track, sight, own, heard, p)
-    level, cos_direct, sin_direct = _direct(track, heard)
-    mutual = watched and level and sight.seen
+    mutual, cos_direct, sin_direct = False, 1.0, 0.0
+    if watched and sight.seen:
+        mutual, cos_direct, sin_direct = _direct(track, heard)
+    gain, norm, cos_hat, sin_hat = 0.0, 1.0, 1.0, 0.0
+    if told and sight.seen and track.since >= p.yaw_hold and (p.yaw_product or not mutual):
+        gain, norm, cos_hat, sin_hat = _compare(track, heard, p)
 
-    # yaw_hat: the angle about the vertical between e (16) and v_j, or v_j filtered alike
-    ux, uy = (track.qx, track.qy) if p.yaw_lag_free else (heard.vx, heard.vy)
-    cos_hat, sin_hat = ux * track.ex + uy * track.ey, ux * track.ey - uy * track.ex
-    norm = math.sqrt(cos_hat * cos_hat + sin_hat * sin_hat)
-    gain = 0.0
-    if told and sight.seen and track.since >= p.yaw_hold and norm > 1e-9:
-        gain = rise(
-            math.sqrt(ux * ux + uy * uy), p.yaw_v_min, p.yaw_v_max
-        )  # horizontal: a vertical velocity carries no yaw
-
+    c, s = track.cos_yaw, track.sin_yaw
     if not track.valid and mutual:
-        track.cos_yaw, track.sin_yaw, track.valid = cos_direct, sin_direct, True
+        c, s, track.valid = cos_direct, sin_direct, True
     elif not track.valid and gain >= RELIABLE:  # the first reliable value, at once
-        track.cos_yaw, track.sin_yaw, track.valid = cos_hat / norm, sin_hat / norm, True
+        c, s, track.valid = cos_hat / norm, sin_hat / norm, True
     else:
-        c, s = track.cos_yaw, track.sin_yaw
         share = (track.f * heard.f if p.yaw_product else 1.0) if mutual else 0.0  # paper: product; here an indicator
         rate = heard.yaw_rate - own.yaw_rate  # (19), odometry
         rate += p.yaw_k3 * share * (sin_direct * c - cos_direct * s)  # (20): k3 sin(yaw_ij - estimate)
         if gain > 0.0:
             rate += p.yaw_k2 * gain * (1.0 - share) * (sin_hat * c - cos_hat * s) / norm  # (21)
-        track.cos_yaw, track.sin_yaw = turned(c, s, p.tick * rate)
+        c, s = turned(c, s, p.tick * rate)
+    track.cos_yaw, track.sin_yaw = c, s
 
-    track.cos_used, track.sin_used = track.cos_yaw, track.sin_yaw
     if mutual and track.valid and heard.yaw_valid > 0.0:  # average on the circle of yaw_ij and -yaw_ji
-        c, s = track.cos_yaw + heard.cos_yaw, track.sin_yaw - heard.sin_yaw
-        length = math.sqrt(c * c + s * s)
+        cos_sum, sin_sum = c + heard.cos_yaw, s - heard.sin_yaw
+        length = math.sqrt(cos_sum * cos_sum + sin_sum * sin_sum)
         if length > 1e-3:
-            track.cos_used, track.sin_used = c / length, s / length
+            c, s = cos_sum / length, sin_sum / length
+    track.cos_used, track.sin_used = c, s
 
 
 @kernel
@@ -111,21 +116,35 @@ def _observe(track, sight, own, heard, p):
         return
     track.since += p.tick
     track.lapse += p.tick
+    c, s, lapse = own.turn_cos, own.turn_sin, track.lapse
     # where j would be now, had only i moved
-    mx, my = turned(own.vx, own.vy, -0.5 * own.yaw_rate * p.tick)
-    track.lx, track.ly = turned(track.lx, track.ly, -own.yaw_rate * p.tick)
-    track.lx, track.ly = track.lx - p.tick * mx, track.ly - p.tick * my
+    lx, ly = c * track.lx - s * track.ly - own.shift_x, c * track.ly + s * track.lx - own.shift_y
+    ex, ey = track.ex, track.ey
     if p.yaw_lag_free:
-        track.ex, track.ey = turned(track.ex, track.ey, -own.yaw_rate * p.tick)
+        ex, ey = c * ex - s * ey, c * ey + s * ex
         track.qx, track.qy = turned(track.qx, track.qy, -heard.yaw_rate * p.tick)
     if not sight.seen:
+        track.lx, track.ly, track.ex, track.ey = lx, ly, ex, ey
         return
-    gain = min(p.yaw_k1 * track.lapse, 1.0)
-    track.ex += gain * ((sight.x - track.lx) / track.lapse - track.ex)  # (14), (17)
-    track.ey += gain * ((sight.y - track.ly) / track.lapse - track.ey)
-    ux, uy = turned(heard.vx, heard.vy, -0.5 * heard.yaw_rate * track.lapse)
-    track.qx, track.qy = track.qx + gain * (ux - track.qx), track.qy + gain * (uy - track.qy)
+    gain = min(p.yaw_k1 * lapse, 1.0)
+    track.ex = ex + gain * ((sight.x - lx) / lapse - ex)  # (14), (17)
+    track.ey = ey + gain * ((sight.y - ly) / lapse - ey)
     track.lx, track.ly, track.lapse = sight.x, sight.y, 0.0
+    if p.yaw_lag_free:
+        ux, uy = turned(heard.vx, heard.vy, -0.5 * heard.yaw_rate * lapse)
+        track.qx, track.qy = track.qx + gain * (ux - track.qx), track.qy + gain * (uy - track.qy)
+
+
+@kernel
+def _compare(track, heard, p):
+    """yaw_ij from e (16) and v_j, or v_j filtered alike: (gain of (21), norm, norm * cosine, norm * sine)."""
+    ux, uy = (track.qx, track.qy) if p.yaw_lag_free else (heard.vx, heard.vy)
+    c, s = ux * track.ex + uy * track.ey, ux * track.ey - uy * track.ex
+    norm = math.sqrt(c * c + s * s)
+    if norm <= 1e-9:
+        return 0.0, 1.0, c, s
+    speed = math.sqrt(ux * ux + uy * uy)  # horizontal: a vertical velocity carries no yaw
+    return rise(speed, p.yaw_v_min, p.yaw_v_max), norm, c, s
 
 
 @kernel
