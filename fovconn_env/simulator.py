@@ -14,7 +14,7 @@ from fovconn_env import layout
 from fovconn_env.kernel import step
 from fovconn_env.scenarios import Scenario
 from fovconn_env.settings import as_numbers
-from fovconn_env.world import NO_ACTIONS, NO_MASK, Scout, Start, allocate, place
+from fovconn_env.world import NO_ACTIONS, NO_MASK, Scout, Start, allocate, place, scratch
 
 WORLDS_PER_THREAD = 16  # fewer are not worth a thread
 
@@ -217,7 +217,8 @@ class Simulator:
         """Run a task over all worlds, in slices on threads where there are worlds enough."""
 
         def work(first: int, last: int) -> None:
-            step.run(task, self.state, self.world, self.params, actions, mask, self._warm_ticks, first, last)
+            own = scratch(self.scenario.n_agents)
+            step.run(task, self.state, self.world, own, self.params, actions, mask, self._warm_ticks, first, last)
 
         if self._n_threads == 1:
             work(0, self.n_worlds)

@@ -12,6 +12,7 @@ import numpy as np
 
 from fovconn_env import layout
 from fovconn_env.kernel import step, types
+from fovconn_env.kernel.spectrum import N_VECTORS
 from fovconn_env.maps import Forest, Map
 from fovconn_env.scenarios import Scenario
 from fovconn_env.settings import as_numbers
@@ -65,6 +66,17 @@ def allocate(scenario: Scenario, n_worlds: int, n_pieces: int, n_vertices: int) 
         range_row=views.ranges,
     )
     return world, state
+
+
+def scratch(n_agents: int) -> types.Scratch:
+    """Scratch for a thread that steps teams of `n_agents`."""
+    n = n_agents
+    return types.Scratch(
+        laplacian=np.empty((n, n)),
+        spectrum=np.empty((n + N_VECTORS, n)),
+        contacts=np.empty((n, n), np.int64),
+        counts=np.empty(n, np.int64),
+    )
 
 
 def observation_bounds(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
@@ -155,7 +167,7 @@ class Scout:
         world, state = allocate(self.scenario, 1, max(len(pieces), 1), max(len(vertices), 1))
         world.piece[0, : len(pieces)], world.vertex[0, : len(vertices)] = pieces, vertices
         place(state.body[0], poses)
-        step.run(step.BEGIN, state, world, self.params, NO_ACTIONS, np.ones(1, bool), 1, 0, 1)
+        step.run(step.BEGIN, state, world, scratch(self.scenario.n_agents), self.params, NO_ACTIONS, np.ones(1, bool), 1, 0, 1)
         return float(state.episode["lambda2"][0]), float(state.body["nearest"].min())
 
     def _course(self, rng: np.random.Generator, poses: np.ndarray) -> np.ndarray:

@@ -33,12 +33,12 @@ def small(name: str = "LeaderFollow-v0", **changes) -> Scenario:
 
 def fiedler(A: np.ndarray, v2: np.ndarray) -> float:
     """lambda2 of a graph with weights A (N, N) from the kernel; v2 (N,) gets the eigenvector."""
-    return _fiedler(ref.laplacian(A), v2, np.full((spectrum.N_VECTORS, len(v2)), np.nan))
+    return _fiedler(ref.laplacian(A), v2, np.full((len(v2) + spectrum.N_VECTORS, len(v2)), np.nan))
 
 
 @entry
-def _fiedler(laplacian, v2, vectors):
-    return spectrum.fiedler(laplacian, v2, vectors)
+def _fiedler(laplacian, v2, scratch):
+    return spectrum.fiedler(laplacian, v2, scratch)
 
 
 def records(kind: np.dtype, count: int | tuple[int, ...] = 1, **fields) -> np.ndarray:

@@ -44,7 +44,7 @@ def entry(function: Callable[P, R]) -> Callable[P, R]:
     # an edit elsewhere visible. The folder is read while decorating, so the user's own setting is put back.
     before, config.CACHE_DIR = config.CACHE_DIR, str(_cache_folder(Path(inspect.getfile(function))))
     try:
-        return cast("Callable[P, R]", numba.njit(function, fastmath=False, cache=True, nogil=True))
+        return cast("Callable[P, R]", numba.njit(function, fastmath=False, cache=True, nogil=True, _nrt=False))
     finally:
         config.CACHE_DIR = before
 

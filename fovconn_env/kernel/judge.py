@@ -40,7 +40,7 @@ def weigh(pairs, infos, p):
 
 
 @kernel
-def connectivity(pairs, v2, laplacian, vectors):
+def connectivity(pairs, v2, laplacian, scratch):
     """True lambda2 of the weights `weigh` has set; v2 (N,) gets the unit eigenvector. The rest is scratch."""
     n = pairs.shape[0]
     for i in range(n):
@@ -50,7 +50,7 @@ def connectivity(pairs, v2, laplacian, vectors):
                 degree += pairs[i, j].weight
                 laplacian[i, j] = -pairs[i, j].weight
         laplacian[i, i] = degree
-    return fiedler(laplacian, v2, vectors)
+    return fiedler(laplacian, v2, scratch)
 
 
 @kernel

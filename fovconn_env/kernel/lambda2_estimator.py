@@ -33,10 +33,11 @@ def bounded(value):
 @kernel
 def agreed_weight(said, heard, p):
     """A_ij (6) from what i said to j and j said to i in the same round; the same bits at both ends."""
-    seers = said.seen + heard.seen
-    if seers == 0.0:
+    if said.seen + heard.seen == 0.0:
         return 0.0
-    gamma = (said.gamma + heard.gamma) / seers  # case 2 of Sec. III-C: only one of them measures
+    gamma = said.gamma + heard.gamma  # case 2 of Sec. III-C: only one of them measures
+    if said.seen == heard.seen:
+        gamma *= 0.5
     return gamma * view_weight(said.f, heard.f, p.weight)
 
 

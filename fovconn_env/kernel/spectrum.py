@@ -1,7 +1,8 @@
-"""True lambda2 and v2 of a weighted graph: Householder reduction, implicit QL steps, inverse iteration.
+"""True lambda2 and v2 of a weighted graph: two or three steps from those of the last one, or from scratch.
 
-All in O(N^3) with a small factor: only the reduction to a tridiagonal touches the whole matrix. Sections are of Golub
-and Van Loan, Matrix Computations.
+Rayleigh quotient iteration triples the correct digits of a vector that is nearly right; the signs of the pivots then
+prove that the value is the least. Where they do not: Householder reduction, implicit QL, inverse iteration.
+Sections are of Golub and Van Loan, Matrix Computations.
 """
 
 from __future__ import annotations
@@ -10,36 +11,37 @@ import math
 
 from fovconn_env.kernel.jit import kernel
 
-N_VECTORS = 8  # rows of scratch that `fiedler` needs
+N_VECTORS = 8  # rows of scratch that `fiedler` needs, beside a matrix
 _EPSILON = 2.3e-16
 _ROUNDS = 3  # of inverse iteration: one does from any start that is not orthogonal, two from any
+_STEPS = 5  # of Rayleigh quotient iteration
 
 
 @kernel
-def fiedler(laplacian, v2, vectors):
+def fiedler(laplacian, v2, scratch):
     """lambda2 of a graph from its Laplacian (N, N), symmetric; writes its unit eigenvector to v2 (N,).
 
     v2 keeps the sign that agrees with what it held before; a fresh one (all zero) gets a positive largest entry.
-    Destroys the Laplacian; vectors, (N_VECTORS, N), is scratch.
+    Destroys the Laplacian. scratch: (N + N_VECTORS, N).
     """
     a, n = laplacian, v2.shape[0]
-    diagonal, off, values, beside, y = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
+    factor, vectors = scratch[:n], scratch[n:]
+    y = vectors[4]
     # The vector of ones has eigenvalue 0: raise it above all others (at most 2 max degree), so lambda2 is the least.
     lift = 1.0
     for i in range(n):
         lift = max(lift, 2.0 * a[i, i] + 1.0)
     for i in range(n):
-        for j in range(i + 1):
+        for j in range(n):
             a[i, j] += lift / n
-    tridiagonalise(a, diagonal, off, y)
+    lambda2, square = math.nan, 0.0
     for i in range(n):
-        values[i], beside[i] = diagonal[i], off[i]
-    find_values(values, beside)
-    lambda2 = values[0]
-    for i in range(1, n):
-        lambda2 = min(lambda2, values[i])
-    find_vector(diagonal, off, lambda2, lift, vectors)
-    reflect(a, vectors[4])
+        y[i] = v2[i]
+        square += v2[i] * v2[i]
+    if square > 0.5:
+        lambda2 = refine(a, lift, y, factor, vectors)
+    if math.isnan(lambda2):
+        lambda2 = least_pair(a, lift, vectors)
     agreement, largest = 0.0, 0.0
     for i in range(n):
         agreement += v2[i] * y[i]
@@ -49,6 +51,89 @@ def fiedler(laplacian, v2, vectors):
     for i in range(n):
         v2[i] = sign * y[i]
     return max(lambda2, 0.0)
+
+
+@kernel
+def refine(a, size, y, factor, vectors):
+    """Least eigenvalue of a (n, n) from a unit vector y near its eigenvector (8.2.3); NaN where that leads elsewhere.
+
+    size: of the largest eigenvalue. y gets the eigenvector; factor (n, n) and rows 0 and 1 of vectors are scratch.
+    """
+    n = y.shape[0]
+    image, pivots = vectors[0], vectors[1]
+    for _ in range(_STEPS):
+        value = rest = 0.0
+        for i in range(n):
+            image[i] = 0.0
+            for j in range(n):
+                image[i] += a[i, j] * y[j]
+            value += image[i] * y[i]
+        for i in range(n):
+            rest += (image[i] - value * y[i]) ** 2
+        if rest <= (8.0 * n * _EPSILON * size) ** 2:
+            return value if factorise(a, value - 1e-12 * size, size, factor, pivots) == 0 else math.nan
+        factorise(a, value, size, factor, pivots)
+        divide(factor, pivots, y)
+    return math.nan
+
+
+@kernel
+def factorise(a, shift, size, factor, pivots):
+    """L D L' of a - shift (4.1.2): L in factor, its diagonal left out; returns how many pivots are below 0.
+
+    As many eigenvalues are below the shift (Sylvester). A pivot of 0 becomes a rounding error of `size`.
+    """
+    n, negative = a.shape[0], 0
+    for i in range(n):
+        pivot = a[i, i] - shift
+        for j in range(i):
+            total = a[i, j]
+            for k in range(j):
+                total -= factor[i, k] * factor[j, k]
+            factor[i, j] = total  # L_ij D_j for now
+        for j in range(i):
+            share = factor[i, j] / pivots[j]
+            pivot -= factor[i, j] * share
+            factor[i, j] = share
+        if abs(pivot) < _EPSILON * size:
+            pivot = _EPSILON * size
+        negative += pivot < 0.0
+        pivots[i] = pivot
+    return negative
+
+
+@kernel
+def divide(factor, pivots, y):
+    """Solve L D L' x = y in place, and make the solution a unit vector."""
+    n, square = y.shape[0], 0.0
+    for i in range(n):
+        for k in range(i):
+            y[i] -= factor[i, k] * y[k]
+    for i in range(n - 1, -1, -1):
+        y[i] /= pivots[i]
+        for k in range(i + 1, n):
+            y[i] -= factor[k, i] * y[k]
+        square += y[i] * y[i]
+    scale = 1.0 / math.sqrt(square)
+    for i in range(n):
+        y[i] *= scale
+
+
+@kernel
+def least_pair(a, size, vectors):
+    """Least eigenvalue of symmetric a (n, n), its eigenvector in row 4 of vectors, scratch else. Destroys a."""
+    n = a.shape[0]
+    diagonal, off, values, beside, y = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
+    tridiagonalise(a, diagonal, off, y)
+    for i in range(n):
+        values[i], beside[i] = diagonal[i], off[i]
+    find_values(values, beside)
+    least = values[0]
+    for i in range(1, n):
+        least = min(least, values[i])
+    find_vector(diagonal, off, least, size, vectors)
+    reflect(a, y)
+    return least
 
 
 @kernel

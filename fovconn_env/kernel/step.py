@@ -6,8 +6,6 @@ slices and nothing else.
 
 from __future__ import annotations
 
-import numpy as np
-
 from fovconn_env.kernel import lambda2_estimator, random, yaw_estimator
 from fovconn_env.kernel.camera import feel, look, muster, see
 from fovconn_env.kernel.geometry import clearance
@@ -20,7 +18,6 @@ from fovconn_env.kernel.pilot import NOBODY, steer
 from fovconn_env.kernel.quadrotor import fly, hover
 from fovconn_env.kernel.radio import address, announce, meter, receive, transmit
 from fovconn_env.kernel.rangefinder import scan
-from fovconn_env.kernel.spectrum import N_VECTORS
 from fovconn_env.kernel.yaw_estimator import attend, estimate_yaw, reckon
 
 ADVANCE, BEGIN = range(2)
@@ -28,16 +25,14 @@ KINEMATIC, QUADROTOR = range(2)  # scenarios.SWITCHES["dynamics"]
 
 
 @entry
-def run(task, state, world, params, actions, mask, warm_ticks, first, last):
+def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, last):
     """ADVANCE the worlds first..last-1 by a step of actions (B, N, 4), or BEGIN an episode in the masked (B,) ones.
 
     Worlds whose episode is over do not advance. Before BEGIN the caller clears a world's records and sets pose (x, y,
     z, yaw), key and max_steps; the estimators then warm up for `warm_ticks`, bodies held, the clock at 0. One entry
     for both, because each entry compiles everything below it.
     """
-    n = state.body.shape[1]
-    laplacian, vectors = np.empty((n, n)), np.empty((N_VECTORS, n))  # scratch
-    contacts, counts = np.empty((n, n), np.int64), np.empty(n, np.int64)
+    n, contacts, counts = state.body.shape[1], scratch.contacts, scratch.counts
     for b in range(first, last):
         episode, p = state.episode[b], params[b]
         if (task == BEGIN and not mask[b]) or (task == ADVANCE and episode.over):
@@ -64,7 +59,7 @@ def run(task, state, world, params, actions, mask, warm_ticks, first, last):
             touch(bodies, piece, vertex, episode, p)
             if tick == ticks - 1:
                 episode.n_edges = weigh(pairs, infos, p)
-                episode.lambda2 = connectivity(pairs, v2, laplacian, vectors)
+                episode.lambda2 = connectivity(pairs, v2, scratch.laplacian, scratch.spectrum)
                 if p.lambda2 == lambda2_estimator.TRUE:
                     reveal_lambda2(beliefs, episode.lambda2, v2)
             sense(bodies, pairs, own, sights, tracks, infos, contacts, counts, episode, p)

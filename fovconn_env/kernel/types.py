@@ -194,6 +194,15 @@ EPISODE = _record(
 TALLY = record(INFO, "f8")
 
 
+class Scratch(NamedTuple):
+    """What a step needs and does not keep, for one thread."""
+
+    laplacian: np.ndarray  # (N, N)
+    spectrum: np.ndarray  # (N + spectrum.N_VECTORS, N)
+    contacts: np.ndarray  # (N, N) int64, row i: those i has to do with, in ascending order
+    counts: np.ndarray  # (N,) int64, how many
+
+
 class State(NamedTuple):
     """What a step rewrites. The first three are the truth; sensors and messages carry it to the on-board records."""
 
