@@ -26,11 +26,12 @@ def look(bodies, pairs, piece, vertex, p):
             b, ij, ji = bodies[j], pairs[i, j], pairs[j, i]
             dx, dy, dz = b.x - a.x, b.y - a.y, b.z - a.z
             distance = math.sqrt(dx * dx + dy * dy + dz * dz)
-            near = max(distance, 1e-9)
+            near = 1.0 / max(distance, 1e-9)
             ij.distance = ji.distance = distance
             a.nearest, b.nearest = min(a.nearest, distance), min(b.nearest, distance)
-            a_ij = (a.ox * (a.cos_yaw * dx + a.sin_yaw * dy) + a.oy * (a.cos_yaw * dy - a.sin_yaw * dx) + a.oz * dz) / near
-            a_ji = -(b.ox * (b.cos_yaw * dx + b.sin_yaw * dy) + b.oy * (b.cos_yaw * dy - b.sin_yaw * dx) + b.oz * dz) / near
+            x, y, z = near * dx, near * dy, near * dz
+            a_ij = a.ox * (a.cos_yaw * x + a.sin_yaw * y) + a.oy * (a.cos_yaw * y - a.sin_yaw * x) + a.oz * z
+            a_ji = -(b.ox * (b.cos_yaw * x + b.sin_yaw * y) + b.oy * (b.cos_yaw * y - b.sin_yaw * x) + b.oz * z)
             in_range = p.d_min < distance < p.d_max
             wanted = in_range and (a_ij > p.a_min or a_ji > p.a_min)
             blocked = p.occlusion and wanted and sight_blocked(a.x, a.y, a.z, b.x, b.y, b.z, piece, vertex)

@@ -33,7 +33,7 @@ def bounded(value):
 @kernel
 def agreed_weight(said, heard, p):
     """A_ij (6) from what i said to j and j said to i in the same round; the same bits at both ends."""
-    if said.seen + heard.seen == 0.0:
+    if not said.seen and not heard.seen:
         return 0.0
     gamma = said.gamma + heard.gamma  # case 2 of Sec. III-C: only one of them measures
     if said.seen == heard.seen:

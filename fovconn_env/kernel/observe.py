@@ -37,7 +37,8 @@ def observe_neighbors(rows, tracks, heard, belief, contacts, p):
                 if tracks[j].present and after and d < least:
                     nearest, least = j, d
         if nearest < 0:
-            _clear(rows[k])
+            if rows[k].present > 0.0:
+                _clear(rows[k])
             continue
         last, last_distance = nearest, least
         _describe(rows[k], tracks[nearest], heard[nearest], root, p)

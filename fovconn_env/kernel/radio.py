@@ -49,10 +49,11 @@ def announce(post, own, belief):
 @kernel
 def address(letter, track):
     """Write robot i's note to j: what i has on board about j."""
-    seen = 1.0 if track.held else 0.0
-    letter.seen, letter.px, letter.py, letter.pz = seen, track.x * seen, track.y * seen, track.z * seen
+    letter.seen, letter.px, letter.py, letter.pz = track.held, 0.0, 0.0, 0.0
+    if track.held:
+        letter.px, letter.py, letter.pz = track.x, track.y, track.z
     letter.gamma, letter.f = track.gamma, track.f
-    letter.cos_yaw, letter.sin_yaw, letter.yaw_valid = track.cos_yaw, track.sin_yaw, 1.0 if track.valid else 0.0
+    letter.cos_yaw, letter.sin_yaw, letter.yaw_valid = track.cos_yaw, track.sin_yaw, track.valid
 
 
 @kernel

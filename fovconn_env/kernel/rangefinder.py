@@ -15,6 +15,8 @@ from fovconn_env.kernel.jit import kernel
 def scan(bodies, i, piece, vertex, rows, key, tick, p):
     """Fill robot i's range rows, (K,) RANGE in its yaw frame: one point per obstacle and per robot, nearest first."""
     for k in range(rows.shape[0]):
+        if rows[k].present == 0.0:
+            break  # used rows stand first
         rows[k].present = rows[k].x = rows[k].y = rows[k].z = 0.0
     me, n = bodies[i], bodies.shape[0]
     for j in range(n):

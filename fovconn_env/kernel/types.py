@@ -25,7 +25,9 @@ def _numbers(names: str) -> Fields:
 
 
 def _columns(table: tuple[Column, ...]) -> Fields:
-    return [(column.name, "f8") for column in table]
+    """One field a column, yes-or-no columns first, as bytes."""
+    fields = [(column.name, "b1" if column.unit == "0/1" else "f8") for column in table]
+    return sorted(fields, key=lambda field: field[1])
 
 
 # ---------------------------------------------------------------------------------------------------- settings
@@ -141,13 +143,16 @@ OWN = _record(
 )
 SIGHT = _record([("seen", "b1"), *_numbers("x y z")])  # camera of i about j: p_ij (2), yaw frame, de-tilted
 POST = _record(_columns(BROADCAST))  # the part of a robot's messages that is the same for all
-MAIL = _record([("sent", "b1"), ("arrives", "b1"), *_columns(NOTE)])  # the part for one of them
-INBOX = _record(  # what i last heard of j
+MAIL = _record([("sent", "b1"), ("arrives", "b1"), *_columns(NOTE)])  # the part for one of them: 64 bytes
+INBOX = _record(  # what i last heard of j; what changes in every round stands first: 3 x 64 bytes
     [
         ("fresh", "b1"),  # heard in this round
         ("news", "b1"),  # and of another tick than the message before
+        *_columns(NOTE)[:2],
         ("age", "f8"),  # s since
-        *_columns(MESSAGE),
+        *_columns(BROADCAST)[6:],
+        *_columns(BROADCAST)[:6],
+        *_columns(NOTE)[2:],
     ]
 )
 

@@ -61,13 +61,13 @@ def attend(track, sight, own, p):
 def estimate_yaw(track, sight, own, heard, p):
     """One tick of the estimator of yaw_ij. All arguments are robot i's: its record of j, sight, odometry, inbox."""
     told = heard.age < p.memory  # j's last message still counts
-    watched = told and heard.seen > 0.0
+    watched = told and heard.seen
     track.present = track.held or watched
     if not track.held:
         if watched:
             track.distance = math.sqrt(heard.px * heard.px + heard.py * heard.py + heard.pz * heard.pz)
         track.tracking = False
-        track.valid = watched and heard.yaw_valid > 0.0
+        track.valid = watched and heard.yaw_valid
         if track.valid:  # yellow phase of Fig. 7: j measures and i takes yaw_ij = -yaw_ji; white: hold the last value
             track.cos_yaw, track.sin_yaw = heard.cos_yaw, -heard.sin_yaw
         track.cos_used, track.sin_used = track.cos_yaw, track.sin_yaw
@@ -94,11 +94,12 @@ def estimate_yaw(track, sight, own, heard, p):
         c, s = turned(c, s, p.tick * rate)
     track.cos_yaw, track.sin_yaw = c, s
 
-    if mutual and track.valid and heard.yaw_valid > 0.0:  # average on the circle of yaw_ij and -yaw_ji
+    if mutual and track.valid and heard.yaw_valid:  # average on the circle of yaw_ij and -yaw_ji
         cos_sum, sin_sum = c + heard.cos_yaw, s - heard.sin_yaw
         length = math.sqrt(cos_sum * cos_sum + sin_sum * sin_sum)
         if length > 1e-3:
-            c, s = cos_sum / length, sin_sum / length
+            scale = 1.0 / length
+            c, s = cos_sum * scale, sin_sum * scale
     track.cos_used, track.sin_used = c, s
 
 
@@ -152,7 +153,8 @@ def _direct(track, heard):
     """yaw_ij from both bearings in mutual view: (does it tell, cosine, sine); a steep line of sight does not."""
     ax, ay = track.x, track.y
     bx, by = -heard.px, -heard.py
-    a, b = math.sqrt(ax * ax + ay * ay), math.sqrt(bx * bx + by * by)
-    if min(a, b) <= LEVEL * track.distance:
+    a2, b2 = ax * ax + ay * ay, bx * bx + by * by
+    if min(a2, b2) <= (LEVEL * track.distance) ** 2:
         return False, 1.0, 0.0
-    return True, (ax * bx + ay * by) / (a * b), (ay * bx - ax * by) / (a * b)
+    scale = 1.0 / math.sqrt(a2 * b2)
+    return True, (ax * bx + ay * by) * scale, (ay * bx - ax * by) * scale
