@@ -74,8 +74,9 @@ def scratch(n_agents: int) -> types.Scratch:
     return types.Scratch(
         laplacian=np.empty((n, n)),
         spectrum=np.empty((n + N_VECTORS, n)),
-        contacts=np.empty((n, n), np.int64),
-        counts=np.empty(n, np.int64),
+        who=np.empty(n * n, np.int64),
+        whom=np.empty(n * n, np.int64),
+        first=np.empty(n + 1, np.int64),
     )
 
 

@@ -44,18 +44,19 @@ def look(bodies, pairs, piece, vertex, p):
 
 
 @kernel
-def muster(pairs, contacts, counts, p):
-    """List for each robot those it has to do with: linked, or lately enough that something of it is left on board.
+def muster(pairs, who, whom, first, p):
+    """List the pairs that have to do with each other: linked, or so lately that something of it is left on board.
 
-    contacts (N, N), row i holds counts[i] robots in ascending order. Nothing changes between the others.
+    Robot i's contacts, in ascending order, are whom[first[i] : first[i + 1]]; who holds i as often. Nothing changes
+    between the others.
     """
-    n = pairs.shape[0]
+    n, count = pairs.shape[0], 0
     for i in range(n):
-        count = 0
+        first[i] = count
         for j in range(n):
-            contacts[i, count] = j
+            who[count], whom[count] = i, j
             count += j != i and pairs[i, j].asleep < p.rest_ticks
-        counts[i] = count
+    first[n] = count
 
 
 @kernel

@@ -103,7 +103,7 @@ def crowding(body, p):
 
 
 @kernel
-def tell(bodies, tracks, beliefs, infos, contacts, counts, episode, p):
+def tell(bodies, tracks, beliefs, infos, whom, first, episode, p):
     """Fill the infos that are not reward terms, link causes, bytes or rows."""
     n = bodies.shape[0]
     for i in range(n):
@@ -113,7 +113,7 @@ def tell(bodies, tracks, beliefs, infos, contacts, counts, episode, p):
         info.n_edges = episode.n_edges
         info.min_distance, info.clearance = bodies[i].nearest, min(bodies[i].clearance, 1e3)
         largest = 0.0
-        for j in contacts[i, : counts[i]]:
+        for j in whom[first[i] : first[i + 1]]:
             if tracks[i, j].present and tracks[i, j].valid:
                 largest = max(largest, yaw_error(bodies[i], bodies[j], tracks[i, j]))
         info.yaw_error = 2.0 * math.atan(largest)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from fovconn_env.kernel import random
 from fovconn_env.kernel.jit import kernel
-from fovconn_env.layout import BYTES_PER_MESSAGE
 
 
 @kernel
@@ -62,13 +61,3 @@ def transmit(letter, pair, index, key, number, p):
     letter.sent = letter.arrives = pair.linked
     if letter.sent and p.loss > 0.0:
         letter.arrives = random.uniform(random.draw(key, number, index, random.LOSS)) >= p.loss
-
-
-@kernel
-def meter(pairs, info, contacts, p):
-    """Count the bytes that a robot sends in a tick: a message to every linked robot in every round."""
-    n_messages = 0
-    for j in contacts:
-        if pairs[j].linked:
-            n_messages += p.rounds
-    info.bytes_sent += n_messages * BYTES_PER_MESSAGE

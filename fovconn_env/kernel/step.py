@@ -16,9 +16,10 @@ from fovconn_env.kernel.lambda2_estimator import agree, awaken, conclude, know, 
 from fovconn_env.kernel.observe import clip, observe_neighbors, observe_self
 from fovconn_env.kernel.pilot import NOBODY, steer
 from fovconn_env.kernel.quadrotor import fly, hover
-from fovconn_env.kernel.radio import address, announce, meter, receive, transmit
+from fovconn_env.kernel.radio import address, announce, receive, transmit
 from fovconn_env.kernel.rangefinder import scan
 from fovconn_env.kernel.yaw_estimator import attend, estimate_yaw, reckon
+from fovconn_env.layout import BYTES_PER_MESSAGE
 
 ADVANCE, BEGIN = range(2)
 KINEMATIC, QUADROTOR = range(2)  # scenarios.SWITCHES["dynamics"]
@@ -32,7 +33,7 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
     z, yaw), key and max_steps; the estimators then warm up for `warm_ticks`, bodies held, the clock at 0. One entry
     for both, because each entry compiles everything below it.
     """
-    n, contacts, counts = state.body.shape[1], scratch.contacts, scratch.counts
+    n, who, whom, first_of = state.body.shape[1], scratch.who, scratch.whom, scratch.first
     for b in range(first, last):
         episode, p = state.episode[b], params[b]
         if (task == BEGIN and not mask[b]) or (task == ADVANCE and episode.over):
@@ -55,24 +56,28 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
             if task == ADVANCE:
                 move(bodies, flights, episode, p)
             look(bodies, pairs, piece, vertex, p)
-            muster(pairs, contacts, counts, p)
+            muster(pairs, who, whom, first_of, p)
             touch(bodies, piece, vertex, episode, p)
             if tick == ticks - 1:
                 episode.n_edges = weigh(pairs, infos, p)
                 episode.lambda2 = connectivity(pairs, v2, scratch.laplacian, scratch.spectrum)
                 if p.lambda2 == lambda2_estimator.TRUE:
                     reveal_lambda2(beliefs, episode.lambda2, v2)
-            sense(bodies, pairs, own, sights, tracks, infos, contacts, counts, episode, p)
+            sense(bodies, pairs, own, sights, tracks, who, whom, first_of[n], episode, p)
             for k in range(p.rounds):
                 slot = episode.n_rounds % slots
                 post, mail = state.post[b, slot], state.mail[b, slot]
-                first = (episode.n_rounds - slots) % p.rounds == 0
-                exchange(post, mail, inboxes, tracks, contacts, counts, first, p)
+                news = (episode.n_rounds - slots) % p.rounds == 0  # the first messages of a tick arrive
+                exchange(post, mail, inboxes, tracks, who, whom, first_of[n], news, p)
                 if slot == 0 and p.lambda2 == lambda2_estimator.POWER:
-                    estimate_lambda2(beliefs, tracks, post, inboxes, contacts, counts, p)
-                write(post, mail, own, tracks, beliefs, pairs, contacts, counts, k == 0 or slots > 1, episode, p)
+                    estimate_lambda2(beliefs, tracks, post, inboxes, whom, first_of, p)
+                for i in range(n):
+                    announce(post[i], own[i], beliefs[i])
+                if k == 0 or slots > 1 or p.loss > 0.0:  # else the notes of this tick lie there already
+                    write(mail, tracks, pairs, who, whom, first_of[n], episode, p)
                 episode.n_rounds += 1
-            orient(tracks, sights, own, inboxes, contacts, counts, p)
+            meter(pairs, infos, who, whom, first_of[n], p)
+            orient(tracks, sights, own, inboxes, who, whom, first_of[n], p)
             if p.relative_yaw != yaw_estimator.ESTIMATED:
                 override_yaw(bodies, tracks, p)
 
@@ -86,13 +91,13 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
                 conclude(beliefs[i], n)
         arrived = steer(bodies[p.leader_index], world.waypoint[b], world.n_waypoints[b], episode, p)
         own_rows, neighbor_rows = state.own_row[b], state.neighbor_row[b]
-        inform(own, tracks, inboxes, beliefs, contacts, counts, own_rows, neighbor_rows, infos, episode, p)
+        inform(own, tracks, inboxes, beliefs, whom, first_of, own_rows, neighbor_rows, infos, episode, p)
         measure(bodies, piece, vertex, state.range_row[b], episode, p)
         clip(state.flat[b], world.low, world.high)
         if task == ADVANCE:
             end(episode, arrived, p)
             reward(bodies, infos, state.reward[b], actions[b], episode, stick_x, stick_y, stick_z, p)
-        tell(bodies, tracks, beliefs, infos, contacts, counts, episode, p)
+        tell(bodies, tracks, beliefs, infos, whom, first_of, episode, p)
 
 
 @kernel
@@ -142,57 +147,59 @@ def touch(bodies, piece, vertex, episode, p):
 
 
 @kernel
-def sense(bodies, pairs, own, sights, tracks, infos, contacts, counts, episode, p):
+def sense(bodies, pairs, own, sights, tracks, who, whom, count, episode, p):
     """Odometry, IMU and camera of every robot."""
     n = bodies.shape[0]
     for i in range(n):
-        meter(pairs[i], infos[i], contacts[i, : counts[i]], p)
         feel(bodies[i], own[i], i, episode.key, episode.n_rounds, p)
         reckon(own[i], p)
-        for j in contacts[i, : counts[i]]:
-            see(bodies[i], bodies[j], pairs[i, j], own[i], sights[i, j], i * n + j, episode.key, episode.n_rounds, p)
-            attend(tracks[i, j], sights[i, j], own[i], p)
+    for k in range(count):
+        i, j = who[k], whom[k]
+        see(bodies[i], bodies[j], pairs[i, j], own[i], sights[i, j], i * n + j, episode.key, episode.n_rounds, p)
+        attend(tracks[i, j], sights[i, j], own[i], p)
 
 
 @kernel
-def exchange(post, mail, inboxes, tracks, contacts, counts, first, p):
+def exchange(post, mail, inboxes, tracks, who, whom, count, news, p):
     """Deliver the messages that arrive in this round, those written longest ago; both ends agree on their link."""
-    for i in range(post.shape[0]):
-        for j in contacts[i, : counts[i]]:
-            receive(post[j], mail[j, i], inboxes[i, j], first, p)
-            agree(tracks[i, j], mail[i, j], inboxes[i, j], p)
+    for k in range(count):
+        i, j = who[k], whom[k]
+        receive(post[j], mail[j, i], inboxes[i, j], news, p)
+        agree(tracks[i, j], mail[i, j], inboxes[i, j], p)
 
 
 @kernel
-def estimate_lambda2(beliefs, tracks, post, inboxes, contacts, counts, p):
+def estimate_lambda2(beliefs, tracks, post, inboxes, whom, first, p):
     """On board of every robot: one round of the power iteration."""
     for i in range(beliefs.shape[0]):
-        power_round(beliefs[i], tracks[i], post[i], inboxes[i], contacts[i, : counts[i]], p)
+        power_round(beliefs[i], tracks[i], post[i], inboxes[i], whom[first[i] : first[i + 1]], p)
 
 
 @kernel
-def write(post, mail, own, tracks, beliefs, pairs, contacts, counts, new, episode, p):
-    """Every robot writes its messages into the slot just emptied; where that holds those of this tick, the notes stay.
-
-    new: it does not.
-    """
-    n = post.shape[0]
-    for i in range(n):
-        announce(post[i], own[i], beliefs[i])
-        if not new and p.loss == 0.0:
-            continue
-        for j in contacts[i, : counts[i]]:
-            transmit(mail[i, j], pairs[i, j], i * n + j, episode.key, episode.n_rounds, p)
-            if new and mail[i, j].sent:
-                address(mail[i, j], tracks[i, j])
+def write(mail, tracks, pairs, who, whom, count, episode, p):
+    """Every robot writes its notes into the slot just emptied; those that do not go on the air need no text."""
+    n = pairs.shape[0]
+    for k in range(count):
+        i, j = who[k], whom[k]
+        transmit(mail[i, j], pairs[i, j], i * n + j, episode.key, episode.n_rounds, p)
+        if mail[i, j].sent:
+            address(mail[i, j], tracks[i, j])
 
 
 @kernel
-def orient(tracks, sights, own, inboxes, contacts, counts, p):
+def orient(tracks, sights, own, inboxes, who, whom, count, p):
     """On board of every robot: relative yaw of every robot that it has to do with."""
-    for i in range(own.shape[0]):
-        for j in contacts[i, : counts[i]]:
-            estimate_yaw(tracks[i, j], sights[i, j], own[i], inboxes[i, j], p)
+    for k in range(count):
+        i, j = who[k], whom[k]
+        estimate_yaw(tracks[i, j], sights[i, j], own[i], inboxes[i, j], p)
+
+
+@kernel
+def meter(pairs, infos, who, whom, count, p):
+    """Count the bytes sent in a tick: a message to every linked robot in every round."""
+    for k in range(count):
+        if pairs[who[k], whom[k]].linked:
+            infos[who[k]].bytes_sent += p.rounds * BYTES_PER_MESSAGE
 
 
 @kernel
@@ -218,10 +225,10 @@ def override_yaw(bodies, tracks, p):
 
 
 @kernel
-def inform(own, tracks, inboxes, beliefs, contacts, counts, own_rows, neighbor_rows, infos, episode, p):
+def inform(own, tracks, inboxes, beliefs, whom, first, own_rows, neighbor_rows, infos, episode, p):
     """Write what every robot has on board into its observation."""
     for i in range(own.shape[0]):
-        leads, known = i == p.leader_index and p.leader != NOBODY, contacts[i, : counts[i]]
+        leads, known = i == p.leader_index and p.leader != NOBODY, whom[first[i] : first[i + 1]]
         observe_self(own_rows[i], own[i], beliefs[i], leads, episode.stick_x, episode.stick_y, episode.stick_z)
         dropped = observe_neighbors(neighbor_rows[i], tracks[i], inboxes[i], beliefs[i], known, p)
         infos[i].neighbors_dropped = dropped

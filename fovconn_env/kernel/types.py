@@ -204,8 +204,9 @@ class Scratch(NamedTuple):
 
     laplacian: np.ndarray  # (N, N)
     spectrum: np.ndarray  # (N + spectrum.N_VECTORS, N)
-    contacts: np.ndarray  # (N, N) int64, row i: those i has to do with, in ascending order
-    counts: np.ndarray  # (N,) int64, how many
+    who: np.ndarray  # (N N,) int64: the pairs that have to do with each other, see camera.muster
+    whom: np.ndarray  # (N N,) int64
+    first: np.ndarray  # (N + 1,) int64
 
 
 class State(NamedTuple):
