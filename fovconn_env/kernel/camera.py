@@ -16,8 +16,11 @@ BY_SIGHT, BY_RANGE = range(2)  # scenarios.SWITCHES["link"]
 
 @kernel
 def look(bodies, pairs, piece, vertex, p):
-    """Bring the truth about every pair up to date: distance, cosine a_ij, blocked, seen, linked. World frame in."""
-    n = bodies.shape[0]
+    """Bring the truth about every pair up to date: distance, cosine a_ij, blocked, seen, linked. World frame in.
+
+    Returns whether a pair fell asleep or woke: whether the list of `muster` is out of date.
+    """
+    n, changed = bodies.shape[0], False
     for i in range(n):
         bodies[i].nearest = math.inf
     for i in range(n):
@@ -40,7 +43,10 @@ def look(bodies, pairs, piece, vertex, p):
             ij.seen = in_range and a_ij > p.a_min and not blocked  # f*_ij > 0 (10)
             ji.seen = in_range and a_ji > p.a_min and not blocked
             ij.linked = ji.linked = linked
-            ij.asleep = ji.asleep = 0 if linked else min(ij.asleep + 1, p.rest_ticks)
+            asleep = 0 if linked else min(ij.asleep + 1, p.rest_ticks)
+            changed = changed or (asleep == p.rest_ticks) != (ij.asleep == p.rest_ticks)
+            ij.asleep = ji.asleep = asleep
+    return changed
 
 
 @kernel

@@ -45,6 +45,7 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
         stick_x, stick_y, stick_z = episode.stick_x, episode.stick_y, episode.stick_z
         ticks = p.ticks if task == ADVANCE else warm_ticks
         slots = state.mail.shape[1]  # rounds a message travels
+        repeats = slots == 1 and p.loss == 0.0  # a tick's first notes lie in the slot until its last round
         if task == ADVANCE:
             obey(bodies, actions[b], stick_x, stick_y, stick_z, p)
         else:
@@ -55,8 +56,8 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
         for tick in range(ticks):
             if task == ADVANCE:
                 move(bodies, flights, episode, p)
-            look(bodies, pairs, piece, vertex, p)
-            muster(pairs, who, whom, first_of, p)
+            if look(bodies, pairs, piece, vertex, p) or tick == 0:
+                muster(pairs, who, whom, first_of, p)
             touch(bodies, piece, vertex, episode, p)
             if tick == ticks - 1:
                 episode.n_edges = weigh(pairs, infos, p)
@@ -73,10 +74,9 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
                     estimate_lambda2(beliefs, tracks, post, inboxes, whom, first_of, p)
                 for i in range(n):
                     announce(post[i], own[i], beliefs[i])
-                if k == 0 or slots > 1 or p.loss > 0.0:  # else the notes of this tick lie there already
-                    write(mail, tracks, pairs, who, whom, first_of[n], episode, p)
+                if k == 0 or not repeats:
+                    write(mail, tracks, pairs, infos, who, whom, first_of[n], p.rounds if repeats else 1, episode, p)
                 episode.n_rounds += 1
-            meter(pairs, infos, who, whom, first_of[n], p)
             orient(tracks, sights, own, inboxes, who, whom, first_of[n], p)
             if p.relative_yaw != yaw_estimator.ESTIMATED:
                 override_yaw(bodies, tracks, p)
@@ -176,14 +176,18 @@ def estimate_lambda2(beliefs, tracks, post, inboxes, whom, first, p):
 
 
 @kernel
-def write(mail, tracks, pairs, who, whom, count, episode, p):
-    """Every robot writes its notes into the slot just emptied; those that do not go on the air need no text."""
+def write(mail, tracks, pairs, infos, who, whom, count, times, episode, p):
+    """Every robot writes its notes into the slot just emptied; those that do not go on the air need no text.
+
+    times: in how many rounds they are sent.
+    """
     n = pairs.shape[0]
     for k in range(count):
         i, j = who[k], whom[k]
         transmit(mail[i, j], pairs[i, j], i * n + j, episode.key, episode.n_rounds, p)
         if mail[i, j].sent:
             address(mail[i, j], tracks[i, j])
+            infos[i].bytes_sent += times * BYTES_PER_MESSAGE
 
 
 @kernel
@@ -192,14 +196,6 @@ def orient(tracks, sights, own, inboxes, who, whom, count, p):
     for k in range(count):
         i, j = who[k], whom[k]
         estimate_yaw(tracks[i, j], sights[i, j], own[i], inboxes[i, j], p)
-
-
-@kernel
-def meter(pairs, infos, who, whom, count, p):
-    """Count the bytes sent in a tick: a message to every linked robot in every round."""
-    for k in range(count):
-        if pairs[who[k], whom[k]].linked:
-            infos[who[k]].bytes_sent += p.rounds * BYTES_PER_MESSAGE
 
 
 @kernel
