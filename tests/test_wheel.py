@@ -68,6 +68,6 @@ def test_the_command_and_the_readme_run_from_it(installed):
     shown = installed("fovconn", "demo", "--no-animation", "--set", "max_cycles=30", "--set", "warmup=0.5")
     assert "never disconnected" in shown
     assert len(list(installed.empty.glob("out/demo/*.png"))) >= 6
-    loop = re.search(r"^```python\n(.*?)^```$", (ROOT / "README.md").read_text("utf-8"), re.DOTALL | re.MULTILINE)[1]
+    loop = re.findall(r"^```python\n(.*?)^```$", (ROOT / "README.md").read_text("utf-8"), re.DOTALL | re.MULTILINE)[0]
     assert "while env.agents:" in loop
     assert installed("python", "-c", f"{loop}\nprint(infos['uav_0']['success'])") == "1.0\n"

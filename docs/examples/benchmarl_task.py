@@ -33,6 +33,11 @@ SCENARIOS = {
 class FovconnTask(TaskClass):
     """A scenario with settings: `name` is the enum's, the config holds what is changed."""
 
+    @property
+    def scenario(self) -> fovconn_env.Scenario:
+        """What the worlds are made of."""
+        return fovconn_env.scenario(SCENARIOS[self.name], **self.config)
+
     def get_env_fun(
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
     ) -> Callable[[], EnvBase]:
@@ -42,7 +47,7 @@ class FovconnTask(TaskClass):
         """
         seeds = None if seed is None else itertools.count(seed)
         return lambda: PettingZooWrapper(
-            fovconn_env.parallel_env(SCENARIOS[self.name], flat=True, **self.config),
+            fovconn_env.parallel_env(self.scenario, flat=True),
             return_state=True,  # the true state, for centralised critics
             seed=None if seeds is None else next(seeds),
             device=device,
@@ -55,13 +60,13 @@ class FovconnTask(TaskClass):
         return False
 
     def has_render(self, env: EnvBase) -> bool:
-        return self.config.get("render_mode") is not None
+        return False
 
     def max_steps(self, env: EnvBase) -> int:
-        return env.max_cycles
+        return self.scenario.max_cycles
 
     def group_map(self, env: EnvBase) -> dict[str, list[str]]:
-        return env.group_map
+        return {"uav": self.scenario.agents}
 
     def observation_spec(self, env: EnvBase) -> Composite:
         return self._per_group(env, "observation")

@@ -12,7 +12,7 @@ import argparse
 from typing import Any
 
 import torch
-from skrl.envs.wrappers.torch import MultiAgentEnvWrapper, wrap_env
+from skrl.envs.wrappers.torch.pettingzoo_envs import PettingZooWrapper
 from skrl.memories.torch import RandomMemory
 from skrl.models.torch import DeterministicMixin, GaussianMixin, Model
 from skrl.multi_agents.torch.ippo import IPPO, IPPO_CFG
@@ -53,12 +53,12 @@ class Value(DeterministicMixin, Model):
         return self.net(inputs["observations"]), {}
 
 
-def make_env(**settings: Any) -> MultiAgentEnvWrapper:
+def make_env(**settings: Any) -> PettingZooWrapper:
     """One world. skrl seeds its first reset by the seed of `set_seed`."""
-    return wrap_env(fovconn_env.parallel_env("LeaderFollow-v0", flat=True, **settings), verbose=False)
+    return PettingZooWrapper(fovconn_env.parallel_env("LeaderFollow-v0", flat=True, **settings))
 
 
-def make_agent(env: MultiAgentEnvWrapper, rollout: int = 512, folder: str | None = None) -> IPPO:
+def make_agent(env: PettingZooWrapper, rollout: int = 512, folder: str | None = None) -> IPPO:
     """IPPO over all robots; folder: for TensorBoard and checkpoints, none are written without."""
     robots = env.possible_agents
     spaces = {"observation_space": env.observation_space(robots[0]), "action_space": env.action_space(robots[0])}

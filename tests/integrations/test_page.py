@@ -3,7 +3,7 @@
 import re
 import sys
 import warnings
-from importlib import metadata, util
+from importlib import import_module, metadata, util
 from pathlib import Path
 
 import pytest
@@ -34,6 +34,11 @@ def rows() -> list[list[str]]:
     return [[cell.strip() for cell in row] for row in table[2:]]
 
 
+def scripts() -> dict[str, str]:
+    """Names of the scripts in the table, by library."""
+    return {library: re.findall(r"\(examples/(\w+)\.py\)", cell)[0] for library, _, cell, *_ in rows()}
+
+
 def test_versions_are_those_that_are_installed():
     assert len(rows()) == 7
     for library, versions, *_ in rows():
@@ -43,9 +48,7 @@ def test_versions_are_those_that_are_installed():
 
 
 def test_scripts_say_the_same_versions():
-    text = {
-        library: (EXAMPLES / re.search(r"\[(\w+\.py)\]", script)[1]).read_text() for library, _, script, *_ in rows()
-    }
+    text = {library: (EXAMPLES / f"{name}.py").read_text() for library, name in scripts().items()}
     assert f"torch=={CURRENT['torch']}" in text["TorchRL"]
     assert f"ray[rllib]=={OLDER['ray']}" in text["RLlib"]
     assert f"Gymnasium {OLDER['gymnasium']} exactly" in text["RLlib"]
@@ -63,10 +66,10 @@ def test_lists_agree():
 
 
 def test_every_script_is_in_the_table_and_has_its_test():
-    scripts = {file.stem for file in EXAMPLES.glob("*.py")}
-    assert {re.search(r"\((?:examples/)(\w+)\.py\)", script)[1] for _, _, script, *_ in rows()} == scripts
+    found = {file.stem for file in EXAMPLES.glob("*.py")}
+    assert set(scripts().values()) == found
     tests = "".join(file.read_text() for file in Path(__file__).parent.glob("test_*.py"))
-    assert {name for name in scripts if f'example("{name}")' in tests} == scripts
+    assert {name for name in found if f'example("{name}")' in tests} == found
 
 
 @pytest.mark.parametrize("block", BLOCKS, ids=range(len(BLOCKS)))
@@ -83,3 +86,9 @@ def test_code_runs(block):
 def test_this_environment_has_what_its_list_says():
     listed = pins(LISTS[0] if Path(sys.prefix).name == "current" else LISTS[1])
     assert {name: metadata.version(name).split("+")[0] for name in listed} == listed
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for library in scripts():  # else a broken one would only be skipped
+            name = DISTRIBUTIONS.get(library, library.lower())
+            if name in listed:
+                import_module(name.replace("-", "_"))
