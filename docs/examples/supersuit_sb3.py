@@ -40,11 +40,11 @@ class EndsForSb3(BaseParallelWrapper):
 def make_env(n_worlds: int, seed: int, **settings: Any) -> VecEnv:
     """`n_worlds` worlds, one row a robot. Warns once that there is no `render_mode`: SuperSuit does not pass it on."""
     world = fovconn_env.parallel_env("LeaderFollow-v0", flat=True, **settings)
-    # Wrap it before any reset: a clone of an environment that was reset draws the same worlds as the original.
     rows = supersuit.pettingzoo_env_to_vec_env_v1(EndsForSb3(world))
     # num_cpus above 0 makes processes, and then the script hangs at its end unless it calls close().
     env: Any = supersuit.concat_vec_envs_v1(rows, n_worlds, num_cpus=0, base_class="stable_baselines3")
-    # It has no seed(): this reset is the only way to seed, and SB3's own reset then goes on with the generators.
+    # Clones have the same generator, and there is no seed(): without this reset all worlds would be the same one. SB3's
+    # own reset then goes on from here.
     env.venv.reset(seed=seed)
     return VecMonitor(env, info_keywords=("succeeded",))
 
