@@ -11,9 +11,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from fovconn_env import layout
+from fovconn_env.graph import Graph, observed_graph
 from fovconn_env.kernel import step
 from fovconn_env.scenarios import Scenario
-from fovconn_env.settings import as_numbers
+from fovconn_env.settings import as_numbers, rule
 from fovconn_env.world import NO_ACTIONS, NO_MASK, Scout, Start, allocate, place
 
 WORLDS_PER_THREAD = 16  # fewer are not worth a thread
@@ -86,6 +87,14 @@ class Simulator:
     def adjacency(self) -> np.ndarray:
         """The true weights A_ij (6), (B, N, N) float64; tilted axes and blocked sights count, noise does not."""
         return self.state.pair["weight"].copy()
+
+    def graph(self, b: int | None = None) -> Graph:
+        """The observations as a graph of world b, or of all worlds side by side; of what is true, see `adjacency`."""
+        if b is None:
+            return observed_graph(self.state, slice(None))
+        inside = isinstance(b, (int, np.integer)) and 0 <= b < self.n_worlds
+        rule(inside, "b", f"in 0..{self.n_worlds - 1}", b, "worlds are counted from 0")
+        return observed_graph(self.state, slice(b, b + 1))
 
     def privileged(self) -> np.ndarray:
         """(B, S) float32 for centralised critics, leader's yaw frame: `layout.STATE` a robot, then STATE_TEAM."""

@@ -10,6 +10,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from fovconn_env import layout
+from fovconn_env.graph import Graph
 from fovconn_env.joint import TEAM_KEYS, joint_spaces
 from fovconn_env.scenarios import Scenario, scenario
 from fovconn_env.simulator import Simulator
@@ -86,6 +87,10 @@ class VectorEnv(gymnasium.vector.VectorEnv):
             simulator.reset(mask=ended)
         infos |= self._infos()
         return simulator.observations.copy(), rewards, terminations, truncations, infos
+
+    def graph(self, b: int | None = None) -> Graph:
+        """The observations of world b as a graph, or of all worlds side by side: robot i of world b is node b N + i."""
+        return self.simulator.graph(b)
 
     def _infos(self) -> dict[str, np.ndarray]:
         rows = self.simulator.infos
