@@ -12,6 +12,7 @@ import gymnasium
 import pettingzoo
 
 from fovconn_env.flight import Flight
+from fovconn_env.graph import Graph
 from fovconn_env.maps import Forest, Map
 from fovconn_env.parallel import ParallelEnv, env, parallel_env, raw_env
 from fovconn_env.scenarios import PRESETS, Scenario, scenario
@@ -39,6 +40,7 @@ __all__ = [
     "Course",
     "Flight",
     "Forest",
+    "Graph",
     "Map",
     "Noise",
     "ParallelEnv",

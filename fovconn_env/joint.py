@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 
 from fovconn_env import layout
+from fovconn_env.graph import Graph
 from fovconn_env.scenarios import Scenario, scenario
 from fovconn_env.simulator import Simulator
 from fovconn_env.viewer import RENDER_MODES, Viewer
@@ -58,6 +59,10 @@ class JointEnv(gymnasium.Env):
         reward = float(self.simulator.rewards[0].mean())
         observation = self.simulator.observations[0].copy()
         return observation, reward, bool(episode["terminated"]), bool(episode["truncated"]), self._info()
+
+    def graph(self) -> Graph:
+        """The observations as a graph, as in the PettingZoo environment."""
+        return self.simulator.graph()
 
     def render(self) -> np.ndarray | None:
         """A picture of the world, (480, 640, 3) uint8."""

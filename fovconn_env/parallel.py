@@ -13,6 +13,7 @@ from pettingzoo.utils import parallel_to_aec
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 
 from fovconn_env import layout
+from fovconn_env.graph import Graph
 from fovconn_env.scenarios import Scenario, scenario
 from fovconn_env.settings import as_numbers
 from fovconn_env.simulator import Simulator
@@ -112,6 +113,13 @@ class ParallelEnv(pettingzoo.ParallelEnv):
     def adjacency(self) -> np.ndarray:
         """The true weights A_ij (6), (N, N) float64: tilted axes and blocked sights count, noise does not."""
         return self.simulator.adjacency()[0]
+
+    def graph(self) -> Graph:
+        """The observations as a graph, uav_0 first: `edge_index` goes from the observed robot to its observer.
+
+        What robots see of each other, from their own sensors and messages. The true links are `adjacency()`.
+        """
+        return self.simulator.graph()
 
     def state(self) -> np.ndarray:
         """The privileged vector for centralised critics, in the leader's yaw frame: layout.STATE and STATE_TEAM."""

@@ -11,9 +11,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from fovconn_env import layout
+from fovconn_env.graph import Graph, observed_graph
 from fovconn_env.kernel import step
 from fovconn_env.scenarios import Scenario
-from fovconn_env.settings import as_numbers
+from fovconn_env.settings import as_numbers, rule
 from fovconn_env.world import NO_ACTIONS, NO_MASK, Scout, Start, allocate, place, scratch
 
 WORLDS_PER_THREAD = 16  # fewer are not worth a thread
@@ -87,6 +88,14 @@ class Simulator:
         """The true weights A_ij (6), (B, N, N) float64; tilted axes and blocked sights count, noise does not."""
         return self.state.pair["weight"].copy()
 
+    def graph(self, b: int | None = None) -> Graph:
+        """The observations as a graph of world b, or of all worlds side by side; of what is true, see `adjacency`."""
+        if b is None:
+            return observed_graph(self.state, slice(None))
+        inside = isinstance(b, (int, np.integer)) and 0 <= b < self.n_worlds
+        rule(inside, "b", f"in 0..{self.n_worlds - 1}", b, "worlds are counted from 0")
+        return observed_graph(self.state, slice(b, b + 1))
+
     def privileged(self) -> np.ndarray:
         """(B, S) float32 for centralised critics, leader's yaw frame: `layout.STATE` a robot, then STATE_TEAM."""
         body, episode, lead = self.state.body, self.state.episode, self.scenario.leader_index
@@ -148,10 +157,11 @@ class Simulator:
         self._run(step.BEGIN, NO_ACTIONS, chosen)
         return self.observations
 
-    def step(self, actions: np.ndarray) -> np.ndarray:
+    def step(self, actions: np.ndarray, *, into: np.ndarray | None = None) -> np.ndarray:
         """Apply actions (B, N, 4), shares in [-1, 1] (`layout.ACTION`; beyond is clipped), and return observations.
 
-        Worlds whose episode is over stay as they are. Raises `ValueError` for a wrong shape or NaN, naming world and
+        into, (B, N, D) float32, gets a copy of them, made by the threads that step. Worlds whose episode is over stay
+        as they are. Raises `ValueError` for a wrong shape or NaN, naming world and
         robot, before anything moves.
         """
         actions = as_numbers("actions", actions)
@@ -165,7 +175,7 @@ class Simulator:
             raise ValueError(
                 f"action of uav_{i} of world {b} must be finite, got {actions[b, i].tolist()}: did the policy diverge?"
             )
-        self._run(step.ADVANCE, actions, NO_MASK)
+        self._run(step.ADVANCE, actions, NO_MASK, into)
         return self.observations
 
     def _seeds(self, seed: int | Sequence[int] | None) -> list[int] | None:
@@ -213,12 +223,14 @@ class Simulator:
         self.state.episode["key"][b] = key
         self.state.episode["max_steps"][b] = self.max_cycles
 
-    def _run(self, task: int, actions: np.ndarray, mask: np.ndarray) -> None:
+    def _run(self, task: int, actions: np.ndarray, mask: np.ndarray, into: np.ndarray | None = None) -> None:
         """Run a task over all worlds, in slices on threads where there are worlds enough."""
 
         def work(first: int, last: int) -> None:
             own = scratch(self.scenario.n_agents)
             step.run(task, self.state, self.world, own, self.params, actions, mask, self._warm_ticks, first, last)
+            if into is not None:
+                into[first:last] = self.state.flat[first:last]
 
         if self._n_threads == 1:
             work(0, self.n_worlds)

@@ -10,6 +10,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from fovconn_env import layout
+from fovconn_env.graph import Graph
 from fovconn_env.joint import TEAM_KEYS, joint_spaces
 from fovconn_env.scenarios import Scenario, scenario
 from fovconn_env.simulator import Simulator
@@ -72,25 +73,32 @@ class VectorEnv(gymnasium.vector.VectorEnv):
             )
         if over.all() and not simulator.state.episode["n_rounds"].any():
             raise gymnasium.error.ResetNeeded("step() needs episodes under way: call reset() first")
-        simulator.step(actions)
+        observations = np.empty_like(simulator.observations)
+        simulator.step(actions, into=observations)
         if over.any():  # NEXT_STEP: those that ended in the call before
             simulator.reset(mask=over)
             simulator.rewards[over] = 0.0
+            observations[over] = simulator.observations[over]
         rewards = simulator.rewards.mean(axis=1)
         terminations, truncations = simulator.terminated.copy(), simulator.truncated.copy()
         infos: dict[str, Any] = {}
         ended = terminations | truncations
         if self.autoreset_mode == AutoresetMode.SAME_STEP and ended.any():
-            infos["final_obs"], infos["_final_obs"] = simulator.observations.copy(), ended
+            infos["final_obs"], infos["_final_obs"] = observations.copy(), ended
             infos["final_info"], infos["_final_info"] = self._infos(), ended
             simulator.reset(mask=ended)
+            observations[ended] = simulator.observations[ended]
         infos |= self._infos()
-        return simulator.observations.copy(), rewards, terminations, truncations, infos
+        return observations, rewards, terminations, truncations, infos
+
+    def graph(self, b: int | None = None) -> Graph:
+        """The observations of world b as a graph, or of all worlds side by side: robot i of world b is node b N + i."""
+        return self.simulator.graph(b)
 
     def _infos(self) -> dict[str, np.ndarray]:
-        rows = self.simulator.infos
+        rows = self.simulator.infos.copy()  # once, whole: the entries below are views of it
         return {
-            column.name: rows[column.name][:, 0].copy() if column.name in TEAM_KEYS else rows[column.name].copy()
+            column.name: rows[column.name][:, 0] if column.name in TEAM_KEYS else rows[column.name]
             for column in layout.INFO
         }
 

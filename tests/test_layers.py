@@ -36,7 +36,7 @@ LAYERS = [
     ["fovconn_env.maps"],
     ["fovconn_env.scenarios"],
     ["fovconn_env.world"],
-    ["fovconn_env.simulator"],
+    ["fovconn_env.graph", "fovconn_env.simulator"],
     ["fovconn_env.*"],
     ["fovconn_env"],
     ["baselines"],

@@ -29,7 +29,7 @@ class World(ParallelPettingZooEnv):
     end together, so `__all__` says it as well, and the critic's value goes on beyond the time limit.
     """
 
-    def step(self, action_dict: dict[str, Any]) -> tuple[dict, dict, dict, dict, dict]:
+    def step(self, action_dict: dict[Any, Any]) -> tuple[dict, dict, dict, dict, dict]:
         observations, rewards, terminateds, truncateds, infos = super().step(action_dict)
         return observations, rewards, terminateds, {"__all__": truncateds["__all__"]}, infos
 

@@ -39,12 +39,12 @@ class EndsForSb3(BaseParallelWrapper):
 
 def make_env(n_worlds: int, seed: int, **settings: Any) -> VecEnv:
     """`n_worlds` worlds, one row a robot. Warns once that there is no `render_mode`: SuperSuit does not pass it on."""
-    env = fovconn_env.parallel_env("LeaderFollow-v0", flat=True, **settings)
-    # Wrap it before any reset: a clone of an environment that was reset draws the same worlds as the original.
-    env = supersuit.pettingzoo_env_to_vec_env_v1(EndsForSb3(env))
+    world = fovconn_env.parallel_env("LeaderFollow-v0", flat=True, **settings)
+    rows = supersuit.pettingzoo_env_to_vec_env_v1(EndsForSb3(world))
     # num_cpus above 0 makes processes, and then the script hangs at its end unless it calls close().
-    env = supersuit.concat_vec_envs_v1(env, n_worlds, num_cpus=0, base_class="stable_baselines3")
-    # It has no seed(): this reset is the only way to seed, and SB3's own reset then goes on with the generators.
+    env: Any = supersuit.concat_vec_envs_v1(rows, n_worlds, num_cpus=0, base_class="stable_baselines3")
+    # Clones have the same generator, and there is no seed(): without this reset all worlds would be the same one. SB3's
+    # own reset then goes on from here.
     env.venv.reset(seed=seed)
     return VecMonitor(env, info_keywords=("succeeded",))
 
@@ -74,6 +74,6 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     trained = train(options.robot_steps, n_worlds=options.worlds, seed=options.seed)
-    episodes = trained.ep_info_buffer
+    episodes = trained.ep_info_buffer or ()
     print(f"{trained.num_timesteps} robot steps; last {len(episodes)} episodes of robots:")
     print("mean return", sum(e["r"] for e in episodes) / max(len(episodes), 1))

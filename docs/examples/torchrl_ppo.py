@@ -16,7 +16,7 @@ from functools import partial
 from typing import Any
 
 import torch
-from tensordict.nn import TensorDictModule, TensorDictSequential
+from tensordict.nn import TensorDictModule
 from tensordict.nn.distributions import NormalParamExtractor
 from torch import nn
 from torchrl.collectors import Collector
@@ -36,7 +36,7 @@ def make_env(seed: int, **settings: Any) -> EnvBase:
     return PettingZooWrapper(world, return_state=True, seed=seed)
 
 
-def make_nets(env: EnvBase) -> tuple[TensorDictSequential, TensorDictModule]:
+def make_nets(env: EnvBase) -> tuple[ProbabilisticActor, TensorDictModule]:
     """Policy (..., N, D) -> actions (..., N, 4), the same for all robots, and critic state (..., S) -> (..., N, 1)."""
     observation, state = env.observation_spec[GROUP, "observation"], env.observation_spec["state"]
     action = env.full_action_spec[GROUP, "action"]
@@ -73,7 +73,7 @@ def train(
     seed: int = 0,
     watch: Callable[[str], None] = print,
     **settings: Any,
-) -> TensorDictSequential:
+) -> ProbabilisticActor:
     """Learn for so many rounds of rollout and update; settings go to the scenario. Returns the policy."""
     torch.manual_seed(seed)
     check_env_specs(make_env(seed, **settings))

@@ -1,6 +1,7 @@
 """The examples with the libraries they are for: `make test-integrations`. Skipped where the library is missing."""
 
 import importlib.util
+import sys
 import warnings
 from pathlib import Path
 from types import ModuleType
@@ -16,7 +17,7 @@ def example(name: str) -> ModuleType:
     spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)  # there for pickle
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what the library says about itself while it is imported
         spec.loader.exec_module(module)

@@ -5,10 +5,11 @@ import pytest
 
 from tests.integrations import SHORT, assert_learned, example
 
+# RLlib registers its own environment again with every algorithm that is built.
+pytestmark = pytest.mark.filterwarnings("ignore:.*Overriding environment rllib-multi-agent-env-v0:UserWarning")
+
 ray = pytest.importorskip("ray")
 pytest.importorskip("ray.rllib")
-
-pytestmark = pytest.mark.filterwarnings("ignore:::ray", "ignore:::gymnasium", "ignore::ResourceWarning")
 
 
 @pytest.fixture(scope="module")

@@ -3,9 +3,13 @@
 import numpy as np
 import pytest
 
+from fovconn_env import PRESETS
+from fovconn_env.joint import JointEnv
 from tests.integrations import SHORT, assert_learned, example, weights
 
 pytest.importorskip("stable_baselines3")
+
+from stable_baselines3.common.env_checker import check_env
 
 SIZES = {"n_worlds": 2, "n_steps": 16, **SHORT}
 ROLLOUT = 2 * 6 * 16  # robot steps between updates
@@ -59,3 +63,9 @@ def test_a_saved_policy_flies_the_same(script, tmp_path):
     np.testing.assert_array_equal(
         loaded.predict(observations, deterministic=True)[0], model.predict(observations, deterministic=True)[0]
     )
+
+
+@pytest.mark.filterwarnings("ignore:Your observation .* has an unconventional shape:UserWarning")
+@pytest.mark.parametrize("name", PRESETS)
+def test_the_joint_environment_passes_check_env(name):
+    check_env(JointEnv(name, warmup=0.1), skip_render_check=True)

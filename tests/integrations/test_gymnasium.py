@@ -1,0 +1,36 @@
+"""docs/examples/gymnasium_vector.py, which needs no other library."""
+
+import numpy as np
+import pytest
+
+from baselines import load_policy
+from fovconn_env import Simulator, scenario
+from tests.integrations import SHORT, example
+
+
+@pytest.fixture(scope="module")
+def script():
+    return example("gymnasium_vector")
+
+
+def test_episodes_are_those_of_single_worlds(script):
+    episodes = script.fly(3, 20, seed=5, **SHORT)
+    assert len(episodes) == 3 * (20 // 8)
+    for b in range(3):
+        world = Simulator(scenario(**SHORT))
+        policy = load_policy("expert", world)
+        for episode, seed in ((episodes[b], 5 + b), (episodes[3 + b], None)):
+            observations, total = world.reset(seed), 0.0
+            while not world.over[0]:
+                observations = world.step(policy.act(observations))
+                total += world.rewards[0].mean()
+            assert episode == {"return": total, "length": 8, "success": 0.0, "collision": 0.0, "truncated": 1.0}
+
+
+def test_an_end_before_the_time_limit_is_no_truncation(script):
+    episodes = script.fly(4, 150, act=lambda seen: np.tile([1.0, 0.0, 0.0, 0.0], (*seen.shape[:2], 1)), warmup=0.1)
+    assert any(episode["collision"] for episode in episodes)
+    for episode in episodes:
+        assert episode["length"] < 150
+        assert episode["truncated"] == 0.0
+        assert episode["return"] < -40  # a collision or a split team costs 50
