@@ -15,7 +15,7 @@ from fovconn_env.graph import Graph, observed_graph
 from fovconn_env.kernel import step
 from fovconn_env.scenarios import Scenario
 from fovconn_env.settings import as_numbers, rule
-from fovconn_env.world import NO_ACTIONS, NO_MASK, Scout, Start, allocate, place, scratch
+from fovconn_env.world import NO_ACTIONS, NO_MASK, Scout, Start, allocate, clear, place, scratch
 
 WORLDS_PER_THREAD = 16  # fewer are not worth a thread
 
@@ -206,13 +206,7 @@ class Simulator:
 
     def _place(self, b: int, start: Start, key: int) -> None:
         """Clear the records of world b and put the start into them."""
-        for array in self.state:
-            array[b] = np.zeros((), array.dtype)
-        self.world.piece[b], self.world.vertex[b], self.world.waypoint[b] = (
-            np.zeros((), self.world.piece.dtype),
-            0.0,
-            0.0,
-        )
+        clear(self.world, self.state, b)
         self.world.piece[b, : len(start.pieces)], self.world.vertex[b, : len(start.vertices)] = (
             start.pieces,
             start.vertices,

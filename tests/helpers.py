@@ -8,6 +8,7 @@ import math
 import numpy as np
 from numba.core import config
 
+from fovconn_env import layout
 from fovconn_env.kernel import spectrum, types
 from fovconn_env.kernel.jit import entry
 from fovconn_env.scenarios import Scenario, scenario
@@ -18,6 +19,7 @@ from tests import reference as ref
 
 JIT = not config.DISABLE_JIT
 SETTLED = Course(settle=0.0)  # the operator moves from the beginning
+MOTION = tuple(column.name for column in layout.SELF[:6])  # what odometry and IMU measure
 KINDS = ("union", "product", "omni")  # scenarios.SWITCHES["weight"]
 
 

@@ -170,7 +170,7 @@ GROUPS = {
     for field in dataclasses.fields(Scenario)
     if type(getattr(Scenario(), field.name)).__module__ == settings.__name__
 }
-DERIVED = {"round_time", "travel_time", "step_time", "axis_x", "axis_y", "axis_z", *SWITCHES}
+DERIVED = {"round_time", "travel_time", "rest_ticks", "step_time", "axis_x", "axis_y", "axis_z", *SWITCHES}
 # Settings that kernels do not read: they shape the arrays, the start, or the array a kernel is handed.
 AT_RESET = {
     "": {"name", "n_agents", "max_neighbors", "max_ranges", "max_cycles", "warmup", "map"},
@@ -227,7 +227,8 @@ def test_settings_used_at_reset_exist():
 
 
 def test_records_fit_the_layout():
-    for kind, table in ((types.MAIL, layout.MESSAGE), (types.INBOX, layout.MESSAGE), (types.TALLY, layout.INFO)):
+    kinds = (types.POST, layout.BROADCAST), (types.MAIL, layout.NOTE), (types.INBOX, layout.MESSAGE)
+    for kind, table in (*kinds, (types.TALLY, layout.INFO)):
         assert {column.name for column in table} <= set(kind.names)
     for table in (layout.SELF, layout.NEIGHBOR, layout.RANGE, layout.ACTION, layout.MESSAGE, layout.STATE, layout.INFO):
         names = [column.name for column in table]

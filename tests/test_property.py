@@ -13,7 +13,7 @@ from fovconn_env.settings import Airframe, Camera, Clock, Course, Noise, Radio
 from fovconn_env.simulator import Simulator
 from fovconn_env.world import NO_ACTIONS, Start
 from tests import reference as ref
-from tests.helpers import contents, differing, draw_team, few, fiedler, recorded_actions, small
+from tests.helpers import contents, differing, draw_team, few, fiedler, recorded_actions, small, snapshot
 
 pytestmark = pytest.mark.nojit
 
@@ -89,6 +89,7 @@ def relabel(simulator, order):
     for name in PER_PAIR:
         array = getattr(state, name)
         array[:] = array[:, order][:, :, order].copy()
+    state.post[:] = state.post[:, :, order].copy()
     state.mail[:] = state.mail[:, :, order][:, :, :, order].copy()
     simulator.params["leader_index"] = order.index(int(simulator.params["leader_index"][0]))
 
@@ -337,6 +338,27 @@ def test_a_robot_out_of_touch_changes_nothing(case):
     assert compared > few(20, 1)
 
 
+@pytest.mark.parametrize("changes", [{}, {"radio": Radio(delay=3, loss=0.2), "camera": Camera(miss=0.3, coast=0.12)}])
+def test_pairs_that_sleep_have_nothing_to_do(changes):
+    """Pairs without a link for long are left out of every tick; visiting them anyway changes no bit."""
+    sleepy = Simulator(small(n_agents=6, patience=1e9, course=MOVING, **changes))
+    sleepy.reset(2)
+    awake = copy.deepcopy(sleepy)
+    awake.params["rest_ticks"] = 10**9
+    slept = woke = 0
+    for action in recorded_actions(few(400, 6), 6, size=1.0):
+        before = sleepy.state.pair["asleep"] == sleepy.params["rest_ticks"]
+        for simulator in (sleepy, awake):
+            simulator.step(action)
+        asleep = sleepy.state.pair["asleep"] == sleepy.params["rest_ticks"]
+        slept, woke = slept + (asleep & ~before).sum(), woke + (before & ~asleep).sum()
+        apart = set(differing(snapshot(sleepy, 0), snapshot(awake, 0)))
+        assert apart <= {"pair.asleep"}, apart
+        if sleepy.over[0]:
+            break
+    assert min(slept, woke) > few(5, -1)
+
+
 def test_a_robot_in_touch_does_change_something():
     """The check above can fail: a robot that is in sight does change what the other has."""
     simulator = Simulator(small(n_agents=6, clock=Clock(ticks=1, rounds=2), patience=1e3))
@@ -352,13 +374,16 @@ def test_a_robot_in_touch_does_change_something():
 
 # ------------------------------------------------------------------------------- decentralised by the signatures
 ONBOARD = [
+    yaw_estimator.reckon,
     yaw_estimator.attend,
     yaw_estimator.estimate_yaw,
     lambda2_estimator.awaken,
     lambda2_estimator.agreed_weight,
     lambda2_estimator.agree,
     lambda2_estimator.power_round,
-    radio.speak,
+    lambda2_estimator.conclude,
+    radio.announce,
+    radio.address,
     observe.observe_self,
     observe.observe_neighbors,
 ]
@@ -381,7 +406,8 @@ def test_on_board_kernels_cannot_reach_the_truth(function):
 def test_on_board_kernels_get_one_robots_slices():
     """In step.py, each call of an on-board kernel hands over records indexed by the robot, never the arrays of all."""
     names = {plain(function).__name__ for function in ONBOARD}
-    arrays = {"bodies", "pairs", "own", "sights", "tracks", "beliefs", "inboxes", "mail", "own_rows", "neighbor_rows"}
+    arrays = {"bodies", "pairs", "own", "sights", "tracks", "beliefs", "inboxes", "post", "mail"}
+    arrays |= {"own_rows", "neighbor_rows", "who", "whom"}
     called = set()
     for node in ast.walk(ast.parse(inspect.getsource(step))):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in names:

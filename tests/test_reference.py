@@ -1,5 +1,7 @@
 """Weights, camera, spectrum, model and distance sensor against `reference`, which is written from the paper."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from fovconn_env.kernel.jit import entry
 from fovconn_env.maps import Map
 from fovconn_env.settings import Camera, Rangefinder
 from tests import reference as ref
-from tests.helpers import KINDS, bodies_of, draw_team, few, fiedler, records, small
+from tests.helpers import KINDS, MOTION, bodies_of, draw_team, few, fiedler, records, small
 
 pytestmark = pytest.mark.nojit
 
@@ -100,7 +102,10 @@ def look(bodies, pairs, piece, vertex, p):
 def see(bodies, pairs, own, sights, p):
     for i in range(len(bodies)):
         camera.feel(bodies[i], own[i], i, np.uint64(1), 0, p[0])
-        camera.see(bodies, pairs, own[i], sights[i], i, np.uint64(1), 0, p[0])
+        for j in range(len(bodies)):
+            if j != i:
+                index = i * len(bodies) + j
+                camera.see(bodies[i], bodies[j], pairs[i, j], own[i], sights[i, j], index, np.uint64(1), 0, p[0])
 
 
 @pytest.mark.parametrize("tilt", TILTS)
@@ -148,7 +153,7 @@ def test_see_without_noise(tilt):
         own, sights = np.zeros(5, types.OWN), np.zeros((5, 5), types.SIGHT)
         look(bodies, pairs, *NOTHING, scenario.params())
         see(bodies, pairs, own, sights, scenario.params())
-        for name in types.OWN.names:
+        for name in MOTION:
             assert (own[name] == bodies[name]).all()
         for i, j in zip(*np.nonzero(sights["seen"]), strict=True):
             seen += 1
@@ -205,6 +210,35 @@ def test_fiedler(n):
     assert checked > 0
 
 
+@pytest.mark.parametrize("n", [3, 6, 24])
+def test_fiedler_follows_a_graph_that_changes(n):
+    """From step to step lambda2 and v2 come from the last ones."""
+    rng, v2 = np.random.default_rng(n), np.zeros(n)
+    graphs = [random_graph(rng, n, density) for density in (0.8, 1.0, 0.5, 0.8)]
+    for start, goal in itertools.pairwise(graphs):
+        for share in np.linspace(0.0, 1.0, few(80, 8)):
+            A = (1.0 - share) * start + share * goal
+            before = v2.copy()
+            lambda2 = fiedler(A, v2)
+            values = np.linalg.eigvalsh(ref.laplacian(A))
+            assert lambda2 == pytest.approx(max(values[1], 0.0), abs=1e-12 * n)
+            np.testing.assert_allclose(ref.laplacian(A) @ v2, lambda2 * v2, rtol=0, atol=1e-11 * n)
+            assert np.linalg.norm(v2) == pytest.approx(1.0, abs=1e-12)
+            assert before @ v2 >= -1e-12
+
+
+def test_fiedler_notices_that_another_eigenvector_took_over():
+    """A rectangle with sides of weight a and b has the eigenvalues 2a and 2b, whose vectors have nothing in common."""
+    v2, seen = np.zeros(4), []
+    for a in np.append(np.linspace(1.0, 2.0, 41), 1.0):
+        b = 3.0 - a
+        A = np.array([[0, a, 0, b], [a, 0, b, 0], [0, b, 0, a], [b, 0, a, 0]])
+        assert fiedler(A, v2) == pytest.approx(2.0 * min(a, b), abs=1e-12)
+        if abs(a - b) > 1e-3:
+            seen.append(round(abs(v2 @ [0.5, -0.5, -0.5, 0.5]), 9))
+    assert seen == [1.0] * 20 + [0.0] * 20 + [1.0]
+
+
 def graphs_of_equal_weights(n):
     ring = np.roll(np.eye(n), 1, axis=0)
     path = np.diag(np.ones(n - 1), 1)
@@ -234,6 +268,7 @@ def test_fiedler_of_special_graphs(n):
 @entry
 def drive(body, action, stick, p, ticks):
     kinematic.command(body[0], action, stick[0], stick[1], stick[2], p[0])
+    kinematic.steady(body[0], p[0])
     for _ in range(ticks):
         kinematic.glide(body[0], p[0])
 

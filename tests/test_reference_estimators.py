@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fovconn_env.kernel import lambda2_estimator, radio, types, yaw_estimator
-from fovconn_env.kernel.jit import entry
+from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.settings import Camera, Clock, YawEstimator
 from fovconn_env.simulator import Simulator
 from tests import reference as ref
@@ -16,6 +16,7 @@ pytestmark = pytest.mark.nojit
 # ------------------------------------------------------------------------------------------------- relative yaw
 @entry
 def estimate(track, sight, own, box, p):
+    yaw_estimator.reckon(own[0], p[0])
     yaw_estimator.attend(track[0], sight[0], own[0], p[0])
     yaw_estimator.estimate_yaw(track[0], sight[0], own[0], box[0], p[0])
 
@@ -198,17 +199,25 @@ def test_the_lag_free_observer_has_no_lag(seed):
 
 # ------------------------------------------------------------------------------------------------------ lambda2
 @entry
-def message_round(beliefs, tracks, mail, inboxes, links, own, p):
-    """Delivery, one round of every robot, and the next messages over `links` (N, N)."""
+def message_round(beliefs, tracks, post, mail, inboxes, contacts, own, p):
+    """Delivery and one round of every robot, who then speak again."""
     n = beliefs.shape[0]
-    radio.exchange(mail, inboxes, p[0])
     for i in range(n):
-        lambda2_estimator.agree(tracks[i], mail[i], inboxes[i], p[0])
-        lambda2_estimator.power_round(beliefs[i], tracks[i], mail[i], inboxes[i], p[0])
+        for j in contacts:
+            radio.receive(post[j], mail[j, i], inboxes[i, j], True, p[0])
+            lambda2_estimator.agree(tracks[i, j], mail[i, j], inboxes[i, j], p[0])
     for i in range(n):
-        for j in range(n):
-            radio.speak(mail[i, j], own[i], tracks[i, j], beliefs[i])
-            mail[i, j].arrives = links[i, j]
+        lambda2_estimator.power_round(beliefs[i], tracks[i], post[i], inboxes[i], contacts, p[0])
+        lambda2_estimator.conclude(beliefs[i], n)
+    for i in range(n):
+        speak(post, mail, own, tracks, beliefs, i)
+
+
+@kernel
+def speak(post, mail, own, tracks, beliefs, i):
+    radio.announce(post[i], own[i], beliefs[i])
+    for j in range(len(beliefs)):
+        radio.address(mail[i, j], tracks[i, j])
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -217,11 +226,11 @@ def test_power_iteration_round_by_round(kind):
     n, rng, scenario = 6, np.random.default_rng(8), small(weight=kind, n_agents=6)
     p, x = scenario.params(), rng.uniform(-1, 1, n)
     beliefs = records(types.BELIEF, n, x=x, y1=x, y2=x * x)
-    tracks, own = np.zeros((n, n), types.TRACK), np.zeros(n, types.OWN)
+    tracks, own, post = np.zeros((n, n), types.TRACK), np.zeros(n, types.OWN), np.zeros(n, types.POST)
     mail, inboxes = np.zeros((n, n), types.MAIL), records(types.INBOX, (n, n), age=scenario.radio.memory)
     reference, A, links = ref.PowerIteration(x), np.zeros((n, n)), np.zeros((n, n), bool)
     for k in range(few(900, 90)):
-        message_round(beliefs, tracks, mail, inboxes, np.zeros((n, n), bool), own, p)
+        message_round(beliefs, tracks, post, mail, inboxes, np.arange(n), own, p)
         reference.round(A, links, scenario.power)
         for name, expected in zip("x y1 y2 y3".split(), [reference.x, *reference.y], strict=True):
             np.testing.assert_allclose(beliefs[name], expected, rtol=0, atol=1e-9)
@@ -236,17 +245,16 @@ def test_power_iteration_round_by_round(kind):
             tracks["f"], tracks["gamma"], tracks["held"] = f, gamma * (f > 0), f > 0
             links = (f > 0) | (f.T > 0)
             A = np.where(links, gamma * ref.view(f, f.T, kind), 0.0)
-            speak_again(mail, own, tracks, beliefs)
+            speak_again(post, mail, own, tracks, beliefs)
         mail["arrives"] = links
     assert np.isfinite(reference.x).all()
     assert 0.05 < np.abs(beliefs["v2_hat"]).max() < 1.5
 
 
 @entry
-def speak_again(mail, own, tracks, beliefs):
+def speak_again(post, mail, own, tracks, beliefs):
     for i in range(len(beliefs)):
-        for j in range(len(beliefs)):
-            radio.speak(mail[i, j], own[i], tracks[i, j], beliefs[i])
+        speak(post, mail, own, tracks, beliefs, i)
 
 
 def test_power_iteration_finds_lambda2():

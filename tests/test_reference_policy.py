@@ -5,12 +5,11 @@ import pytest
 
 from baselines.expert import Expert, Gains, control
 from fovconn_env import layout
-from fovconn_env.kernel import types
 from fovconn_env.maps import Map
 from fovconn_env.settings import Reward
 from fovconn_env.simulator import Simulator
 from tests import reference as ref
-from tests.helpers import KINDS, SETTLED, few, recorded_actions, small
+from tests.helpers import KINDS, MOTION, SETTLED, few, recorded_actions, small
 
 pytestmark = pytest.mark.nojit
 
@@ -45,7 +44,7 @@ def dropped(state, scenario):
 
 
 def check_own_row(row, state, i, leads):
-    for name in types.OWN.names:
+    for name in MOTION:
         assert row[name] == pytest.approx(state.own[name][0, i], abs=1e-6)
     assert row.lambda2_hat == pytest.approx(state.belief["lambda2_hat"][0, i], abs=1e-6)
     assert row.v2_hat == pytest.approx(state.belief["v2_hat"][0, i], abs=1e-6)
@@ -70,7 +69,7 @@ def check_neighbor_rows(rows, state, i, scenario):
             **{"f_ij": track["f"], "f_ji": box["f"], "distance": track["distance"], "weight": track["weight"]},
             **{"cos_yaw": np.cos(psi), "sin_yaw": np.sin(psi), "yaw_valid": float(track["valid"])},
             **{f"bearing_{axis}": b for axis, b in zip("xyz", bearing, strict=True)},
-            **{name: box[name] for name in types.OWN.names},
+            **{name: box[name] for name in MOTION},
             "lambda2_hat": np.clip(box["y3"] / max(box["y2"], 1e-6), 0, n),
             "age": box["age"] + scenario.radio.delay * scenario.clock.tick / scenario.clock.rounds,
             "v2_hat": np.clip(box["x"] / np.sqrt(n * max(belief["y2"], 1e-6)), -2, 2),

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fovconn_env.layout import BROADCAST, INFO, MESSAGE, NOTE, REWARDS, Column, record
+from fovconn_env.layout import BROADCAST, INFO, NOTE, REWARDS, Column, record
 
 Fields = list[tuple[str, str]]
 
