@@ -42,7 +42,7 @@ class Simulator:
         self.world, self.state = allocate(scenario, n_worlds, 1, 1)
         self.state.episode["over"] = True  # until the first reset
         self._scout = Scout(scenario)
-        self._rngs: list[np.random.Generator] = [np.random.default_rng() for _ in range(n_worlds)]
+        self._rngs: list[np.random.Generator | None] = [None] * n_worlds  # each from its world's first reset on
         self._n_threads = min(n_threads or _cores(), max(n_worlds // WORLDS_PER_THREAD, 1))
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
         warm = scenario.warmup if scenario.lambda2 == "power" else 0.0
@@ -147,7 +147,7 @@ class Simulator:
         seeds = self._seeds(seed)
         drawn: dict[int, tuple[np.random.Generator, Start, int]] = {}
         for b in np.flatnonzero(chosen).tolist():
-            rng = copy.deepcopy(self._rngs[b]) if seeds is None else np.random.default_rng(seeds[b])
+            rng = self._generator(b) if seeds is None else np.random.default_rng(seeds[b])
             start = self._scout.draw(rng, poses)
             drawn[b] = rng, start, int(rng.integers(2**63))
         self._make_room(drawn)
@@ -176,6 +176,11 @@ class Simulator:
             )
         self._run(step.ADVANCE, actions, NO_MASK)
         return self.observations
+
+    def _generator(self, b: int) -> np.random.Generator:
+        """A copy of world b's generator. Before the first reset a fresh one: copies of a new simulator then differ."""
+        rng = self._rngs[b]
+        return np.random.default_rng() if rng is None else copy.deepcopy(rng)
 
     def _seeds(self, seed: int | Sequence[int] | None) -> list[int] | None:
         if seed is None:
