@@ -14,7 +14,7 @@ from fovconn_env import layout
 from fovconn_env.graph import Graph, observed_graph
 from fovconn_env.kernel import step
 from fovconn_env.scenarios import Scenario
-from fovconn_env.settings import as_numbers, rule
+from fovconn_env.settings import as_numbers, check_count, rule
 from fovconn_env.world import NO_ACTIONS, NO_MASK, Scout, Start, allocate, place
 
 WORLDS_PER_THREAD = 16  # fewer are not worth a thread
@@ -32,10 +32,12 @@ class Simulator:
     """
 
     def __init__(self, scenario: Scenario, n_worlds: int = 1, *, n_threads: int | None = None) -> None:
-        if not isinstance(n_worlds, (int, np.integer)) or n_worlds < 1:
-            raise ValueError(f"n_worlds must be a whole number, at least 1, got {n_worlds!r}: a batch holds worlds")
-        if n_threads is not None and n_threads < 1:
-            raise ValueError(f"n_threads must be at least 1, got {n_threads}: leave it out for one a core")
+        if not isinstance(scenario, Scenario):
+            hint = "fovconn_env.scenario(id) makes one"
+            raise TypeError(f"Simulator's scenario must be a Scenario, got {scenario!r}: {hint}")
+        check_count("n_worlds", n_worlds, "a batch holds worlds")
+        if n_threads is not None:
+            check_count("n_threads", n_threads, "leave it out for one a core")
         self.scenario, self.n_worlds = scenario, n_worlds
         self.max_cycles = scenario.max_cycles
         self.params = np.repeat(scenario.params(), n_worlds)
@@ -189,9 +191,8 @@ class Simulator:
         seeds = [seed + b for b in range(self.n_worlds)] if isinstance(seed, whole) else seed
         fine = isinstance(seeds, Sequence) and len(seeds) == self.n_worlds
         if not fine or not all(isinstance(s, whole) and s >= 0 for s in seeds):
-            raise ValueError(
-                f"seed must be a number or {self.n_worlds} numbers, whole and none below 0, got {seed!r}: one a world"
-            )
+            many = f", or {self.n_worlds} of them" if self.n_worlds > 1 else ""
+            raise ValueError(f"seed must be a whole number, at least 0{many}, got {seed!r}: one a world")
         return [int(s) for s in seeds]
 
     def _make_room(self, drawn: dict) -> None:
