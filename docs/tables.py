@@ -1,7 +1,8 @@
 """Write the generated tables of README.md and docs/*.md: `python docs/tables.py` (`--check` only looks).
 
 A table stands between `<!-- KIND:NAME -->` and `<!-- end -->`. KIND is `layout` (a table of `fovconn_env.layout`, or
-`layout:scales`, what the named bounds are) or `settings` (fields of a settings class, with the comment beside each).
+`layout:scales`, what the named bounds are), `settings` (fields of a settings class, with the comment beside each) or
+`bench` (rates, bars or machine of docs/benchmark.json, which `fovconn bench --json` writes).
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import ast
 import inspect
 import itertools
+import json
 import math
 import re
 import sys
@@ -19,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # runs from a clone without 
 from baselines import Gains
 from fovconn_env import layout, scenarios, settings
 from fovconn_env.layout import Column
+from training.bench_report import bar_table, machine_line, rate_table
 
 ROOT = Path(__file__).parents[1]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -39,7 +42,7 @@ _FIELD = re.compile(r"^    (\w+): (.+?) = (.+?)(?:  # (.*))?$", re.MULTILINE)
 
 def rendered(text: str) -> str:
     """A page with its generated tables made anew."""
-    kinds = {"layout": layout_table, "settings": settings_table}
+    kinds = {"layout": layout_table, "settings": settings_table, "bench": bench_table}
     return _MARKED.sub(lambda found: f"{found[1]}\n{kinds[found[2]](found[3])}\n\n{found[4]}", text)
 
 
@@ -75,6 +78,14 @@ def settings_table(name: str) -> str:
         meaning = "; ".join(filter(None, [words, comment])) or (f"see {factory[1]} below" if factory else "")
         rows.append([f"`{field}`", f"`{factory[1]}()`" if factory else f"`{default}`", meaning])
     return _markdown(["setting", "default", "unit and meaning"], rows)
+
+
+def bench_table(name: str) -> str:
+    """A Markdown table of the committed benchmark: "rates" or "bars"; or "machine", a line of text."""
+    report = json.loads((ROOT / "docs" / "benchmark.json").read_text("utf-8"))
+    if name == "machine":
+        return f"Measured {report['finished'][:10]} on {machine_line(report)}."
+    return _markdown(*{"rates": rate_table, "bars": bar_table}[name](report))
 
 
 def _vector(column: Column) -> tuple:

@@ -11,6 +11,7 @@ from gymnasium import spaces
 from fovconn_env import layout
 from fovconn_env.graph import Graph
 from fovconn_env.scenarios import Scenario, scenario
+from fovconn_env.settings import as_numbers
 from fovconn_env.simulator import Simulator
 from fovconn_env.viewer import RENDER_MODES, Viewer
 
@@ -54,7 +55,10 @@ class JointEnv(gymnasium.Env):
         """Apply actions (N, 4). Raises `ValueError` for a wrong shape or NaN, naming the robot."""
         if self.simulator.over[0]:
             raise gymnasium.error.ResetNeeded("step() needs an episode under way: call reset() first")
-        self.simulator.step(np.asarray(action)[None])
+        action, shape = as_numbers("action", action), self.action_space.shape
+        if action.shape != shape:
+            raise ValueError(f"action must have the shape {shape}, got {action.shape}: (robots, vx vy vz yaw_rate)")
+        self.simulator.step(action[None])
         episode = self.simulator.state.episode[0]
         reward = float(self.simulator.rewards[0].mean())
         observation = self.simulator.observations[0].copy()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
@@ -134,6 +135,9 @@ class ParallelEnv(pettingzoo.ParallelEnv):
 
     def _gather(self, actions: dict[str, np.ndarray]) -> np.ndarray:
         """Actions (N, 4) float64, checked."""
+        if not isinstance(actions, Mapping):
+            kind = type(actions).__name__
+            raise ValueError(f"actions must be a dict by agent, got {kind}: {{'uav_0': [vx, vy, vz, yaw_rate], ...}}")
         rows = np.empty((len(self.agents), len(layout.ACTION)))
         for row, agent in zip(rows, self.agents, strict=True):
             if agent not in actions:

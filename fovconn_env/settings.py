@@ -30,6 +30,12 @@ def as_numbers(field: str, value: Any) -> np.ndarray:
         raise ValueError(f"{field} must be an array of numbers, got {value!r}: {problem}") from None
 
 
+def check_count(field: str, value: Any, hint: str) -> None:
+    """`ValueError` that names the field unless `value` is a whole number from 1 on; True is none."""
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    rule(bool(whole and value >= 1), field, "a whole number, at least 1", value, hint)
+
+
 def check_numbers(group: Any, *, above: str = "", at_least: str = "", share: str = "", infinite: str = "") -> None:
     """Check a settings group's numbers and switches: finite, whole where the default is, yes or no where that is.
 

@@ -14,7 +14,7 @@ from fovconn_env import layout
 from fovconn_env.graph import Graph, observed_graph
 from fovconn_env.kernel import step
 from fovconn_env.scenarios import Scenario
-from fovconn_env.settings import as_numbers, rule
+from fovconn_env.settings import as_numbers, check_count, rule
 from fovconn_env.world import NO_ACTIONS, NO_MASK, Scout, Start, allocate, clear, place, scratch
 
 WORLDS_PER_THREAD = 16  # fewer are not worth a thread
@@ -32,17 +32,19 @@ class Simulator:
     """
 
     def __init__(self, scenario: Scenario, n_worlds: int = 1, *, n_threads: int | None = None) -> None:
-        if not isinstance(n_worlds, (int, np.integer)) or n_worlds < 1:
-            raise ValueError(f"n_worlds must be a whole number, at least 1, got {n_worlds!r}: a batch holds worlds")
-        if n_threads is not None and n_threads < 1:
-            raise ValueError(f"n_threads must be at least 1, got {n_threads}: leave it out for one a core")
+        if not isinstance(scenario, Scenario):
+            hint = "fovconn_env.scenario(id) makes one"
+            raise TypeError(f"Simulator's scenario must be a Scenario, got {scenario!r}: {hint}")
+        check_count("n_worlds", n_worlds, "a batch holds worlds")
+        if n_threads is not None:
+            check_count("n_threads", n_threads, "leave it out for one a core")
         self.scenario, self.n_worlds = scenario, n_worlds
         self.max_cycles = scenario.max_cycles
         self.params = np.repeat(scenario.params(), n_worlds)
         self.world, self.state = allocate(scenario, n_worlds, 1, 1)
         self.state.episode["over"] = True  # until the first reset
         self._scout = Scout(scenario)
-        self._rngs: list[np.random.Generator] = [np.random.default_rng() for _ in range(n_worlds)]
+        self._rngs: list[np.random.Generator | None] = [None] * n_worlds  # each from its world's first reset on
         self._n_threads = min(n_threads or _cores(), max(n_worlds // WORLDS_PER_THREAD, 1))
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
         warm = scenario.warmup if scenario.lambda2 == "power" else 0.0
@@ -147,7 +149,7 @@ class Simulator:
         seeds = self._seeds(seed)
         drawn: dict[int, tuple[np.random.Generator, Start, int]] = {}
         for b in np.flatnonzero(chosen).tolist():
-            rng = copy.deepcopy(self._rngs[b]) if seeds is None else np.random.default_rng(seeds[b])
+            rng = self._generator(b) if seeds is None else np.random.default_rng(seeds[b])
             start = self._scout.draw(rng, poses)
             drawn[b] = rng, start, int(rng.integers(2**63))
         self._make_room(drawn)
@@ -178,6 +180,11 @@ class Simulator:
         self._run(step.ADVANCE, actions, NO_MASK, into)
         return self.observations
 
+    def _generator(self, b: int) -> np.random.Generator:
+        """A copy of world b's generator. Before the first reset a fresh one: copies of a new simulator then differ."""
+        rng = self._rngs[b]
+        return np.random.default_rng() if rng is None else copy.deepcopy(rng)
+
     def _seeds(self, seed: int | Sequence[int] | None) -> list[int] | None:
         if seed is None:
             return None
@@ -185,9 +192,8 @@ class Simulator:
         seeds = [seed + b for b in range(self.n_worlds)] if isinstance(seed, whole) else seed
         fine = isinstance(seeds, Sequence) and len(seeds) == self.n_worlds
         if not fine or not all(isinstance(s, whole) and s >= 0 for s in seeds):
-            raise ValueError(
-                f"seed must be a number or {self.n_worlds} numbers, whole and none below 0, got {seed!r}: one a world"
-            )
+            many = f", or {self.n_worlds} of them" if self.n_worlds > 1 else ""
+            raise ValueError(f"seed must be a whole number, at least 0{many}, got {seed!r}: one a world")
         return [int(s) for s in seeds]
 
     def _make_room(self, drawn: dict) -> None:

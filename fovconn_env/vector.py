@@ -13,6 +13,7 @@ from fovconn_env import layout
 from fovconn_env.graph import Graph
 from fovconn_env.joint import TEAM_KEYS, joint_spaces
 from fovconn_env.scenarios import Scenario, scenario
+from fovconn_env.settings import check_count
 from fovconn_env.simulator import Simulator
 
 
@@ -38,6 +39,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         if render_mode is not None:
             raise ValueError(f"render_mode must be None for a batch, got {render_mode!r}: render one world instead")
         self.render_mode = None
+        check_count("num_envs", num_envs, "a batch holds worlds")
         self.scenario = scenario(base, **settings)
         self.num_envs = num_envs
         self.simulator = Simulator(self.scenario, num_envs, n_threads=n_threads)

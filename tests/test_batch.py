@@ -201,6 +201,17 @@ def test_copies_go_on_identically(case, clone, tiny_slices):
     assert len(step.run.signatures) == compiled  # a copy's arrays are of the same type: nothing compiles again
 
 
+def test_copies_of_a_new_simulator_draw_their_own_worlds():
+    """World by world: one that was reset goes on with its generator."""
+    sim = build("LeaderFollow-v0", 3)
+    sim.reset(8, mask=np.array([False, True, False]))
+    twin = copy.deepcopy(sim)
+    for one in (sim, twin):
+        one.reset()
+    assert [snapshot(sim, b)["body.x"] == snapshot(twin, b)["body.x"] for b in range(3)] == [False, True, False]
+    assert len({snapshot(one, b)["body.x"] for one in (sim, twin) for b in range(3)}) == 5
+
+
 def test_a_copy_of_a_simulator_keeps_its_views():
     sim = copy.deepcopy(build("LeaderFollow-v0"))
     sim.reset(1)

@@ -179,7 +179,11 @@ BAD = {
     "command": (("evla",), "evla"),
     "demo policy": (("demo", "--policy", "nobody"), "policy must be one of expert, got 'nobody'"),
     "demo setting": (("demo", "--set", "n_agents=0"), "Scenario.n_agents must be at least 2, got 0"),
-    "bench peer": (("bench", "--against", "pong"), "--against must name one of mpe2, got 'pong'"),
+    "bench peer": (("bench", "--against", "pong"), "--against must name some of vmas, mpe2, "),
+    "bench peers": (("bench", "vmas"), "'vmas' is unexpected: peers come after --against"),
+    "bench group": (("bench", "--only", "vektor"), "--only must name some of parallel, vector, "),
+    "bench plot": (("bench", "--plot", "speed.bmp"), "--plot must end in one of .png, .svg, .pdf, got 'speed.bmp'"),
+    "bench json": (("bench", "--json", "a.json", "--plot", "nowhere/a.png"), "--plot must name a file in an existing"),
     "bench setting": (("bench", "--set", "n_agents=0"), "Scenario.n_agents must be at least 2, got 0"),
 }
 
@@ -206,7 +210,7 @@ def test_in_a_process_of_its_own():
     assert task.stderr == "fovconn: policy must be one of expert, got 'nobody'\n"
 
 
-# ------------------------------------------------------------------------------------------------------ demo and bench
+# ---------------------------------------------------------------------------------------------------------------- demo
 def test_demo_without_the_animation(fovconn):
     shown = fovconn("demo", "--no-animation", "--out", "pictures", *TINY)
     assert shown.status == 0
@@ -217,13 +221,6 @@ def test_demo_without_the_animation(fovconn):
         assert str(picture) in shown.out
         assert picture.stat().st_size > 1000
     assert not any(picture.suffix in (".gif", ".mp4") for picture in pictures)
-
-
-def test_bench(fovconn):
-    shown = fovconn("bench", "--repetitions", 1, "--batch", 2, "--set", "n_agents=3")
-    assert shown.status == 0
-    assert "parallel_env" in shown.out
-    assert "batch of 2" in shown.out
 
 
 # ------------------------------------------------------------------------------------------ Meter, against a recording

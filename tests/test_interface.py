@@ -6,6 +6,8 @@ import os
 import pickle
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,13 +16,35 @@ import numpy as np
 import pettingzoo
 import pymunk
 import pytest
-from pettingzoo.test import api_test, max_cycles_test, parallel_api_test, parallel_seed_test, seed_test, state_test
-from pettingzoo.utils import aec_to_parallel
+from pettingzoo.test import (
+    api_test,
+    max_cycles_test,
+    parallel_api_test,
+    parallel_seed_test,
+    render_test,
+    seed_test,
+    state_test,
+)
+from pettingzoo.utils import OrderEnforcingWrapper, aec_to_parallel
+from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.env_logger import EnvLogger
 
 import fovconn_env
 from baselines import load_policy
-from fovconn_env import PRESETS, Airframe, Camera, Course, Forest, Map, Noise, Radio, layout, parallel_env
+from fovconn_env import (
+    PRESETS,
+    Airframe,
+    Camera,
+    Course,
+    Forest,
+    Map,
+    Noise,
+    Radio,
+    Simulator,
+    fovconn_v0,
+    layout,
+    parallel_env,
+)
 from tests import reference as ref
 from tests.helpers import differing, recorded_actions, snapshot
 
@@ -78,12 +102,34 @@ def test_pettingzoo_seeds(name):
     parallel_seed_test(lambda: parallel_env(name, patience=1e3, warmup=0.5), num_cycles=60)
 
 
-def test_pettingzoo_max_cycles():
+@pytest.mark.parametrize("name", PRESETS)
+def test_pettingzoo_max_cycles(name):
+    settings = {"patience": 1e3, "warmup": 0.5}  # no end but the one looked for
     module = SimpleNamespace(
-        parallel_env=lambda max_cycles: parallel_env("Regroup-v0", max_cycles=max_cycles),
-        env=lambda max_cycles: fovconn_env.env("Regroup-v0", max_cycles=max_cycles),
+        parallel_env=partial(fovconn_v0.parallel_env, name, **settings), env=partial(fovconn_v0.env, name, **settings)
     )
     max_cycles_test(module)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_pettingzoo_render(name):
+    """PettingZoo's test makes a window ("human") as well, but never looks at it; there is none."""
+
+    def build(render_mode):
+        return fovconn_env.env(name, render_mode=None if render_mode == "human" else render_mode, warmup=0.1)
+
+    render_test(build)
+
+
+def test_the_module_in_pettingzoos_usual_form():
+    assert fovconn_v0.__all__ == ["env", "parallel_env", "raw_env"]
+    kinds = {"env": OrderEnforcingWrapper, "raw_env": parallel_to_aec_wrapper, "parallel_env": pettingzoo.ParallelEnv}
+    for name, kind in kinds.items():
+        made = getattr(fovconn_v0, name)(n_agents=3, max_cycles=7)
+        assert type(made).__mro__[0 if name != "parallel_env" else 1] is kind
+        assert made.metadata["name"] == fovconn_v0.__name__.rpartition(".")[2]
+        assert made.unwrapped.scenario == fovconn_env.scenario("LeaderFollow-v0", n_agents=3, max_cycles=7)
+        assert getattr(fovconn_v0, name)("Regroup-v0").unwrapped.scenario == PRESETS["Regroup-v0"]
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -228,33 +274,86 @@ def test_whole_episodes_stay_in_their_spaces_and_end_together(pilot, name, varia
 
 
 # ------------------------------------------------------------------------------------------------------ the same again
-def rollout():
-    """Hash of everything that 500 steps return and leave behind."""
-    changes = {**NOISY, "map": PRESETS["LeaderObstacles-v0"].map, "warmup": 1.0, "patience": 1e3, "max_cycles": 500}
-    env = parallel_env("TiltDynamics-v0", collision_robot=1e-3, collision_obstacle=1e-3, **changes)
-    total = hashlib.sha256(repr(env.reset(seed=4)).encode())
-    for result in fly(env, recorded_actions(500, 6, size=0.3)):
-        total.update(repr(result).encode())
+ROLLOUT = 500  # steps
+ENDLESS = {  # as noisy as can be, and nothing but time ends it
+    **NOISY,
+    "patience": 1e9,
+    "collision_robot": 1e-3,
+    "max_cycles": ROLLOUT,
+}
+
+
+class Bits:
+    """A hash of observations (N, D), rewards (N,), infos (N, 20) and poses (N, 4), step by step."""
+
+    def __init__(self):
+        self.total = hashlib.sha256()
+
+    def add(self, *arrays):
+        kinds = (np.float32, *3 * (np.float64,))
+        for array, kind in zip(arrays, kinds, strict=True):
+            array = np.asarray(array)
+            assert array.dtype == kind
+            self.total.update(repr(array.shape).encode() + array.tobytes())
+
+    def add_env(self, env, observations, rewards, infos):
+        keys = [column.name for column in layout.INFO]
+        told = [[info[key] for key in keys] for info in infos.values()]
+        self.add(list(observations.values()), list(rewards.values()), told, env.poses())
+
+    def add_world(self, simulator, b, rewards):
+        self.add(simulator.observations[b], rewards, simulator.infos[b].tolist(), simulator.poses()[b])
+
+
+def rollout_hash(name):
+    """Of one PettingZoo environment, seed 4."""
+    env, bits = parallel_env(name, flat=True, **ENDLESS), Bits()
+    observations, infos = env.reset(seed=4)
+    bits.add_env(env, observations, dict.fromkeys(env.agents, 0.0), infos)
+    for rows in recorded_actions(ROLLOUT, 6, n_worlds=3, size=0.3)[:, 1]:
+        observations, rewards, _, _, infos = env.step(actions_for(env, rows))
+        bits.add_env(env, observations, rewards, infos)
     assert not env.agents
-    for key, data in sorted(snapshot(env.simulator, 0).items()):
-        total.update(key.encode() + data)
-    return total.hexdigest()
+    assert env.state()[-1] == 1.0  # it was time that ended it
+    return bits.total.hexdigest()
 
 
-def test_two_processes_get_the_same_bits():
-    script = "from tests.test_interface import rollout; print(rollout())"
-    variables = {**os.environ, "PYTHONHASHSEED": "7", "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(
-        [sys.executable, "-c", script], cwd=ROOT, env=variables, stdout=subprocess.PIPE, text=True
-    ) as task:
-        here = rollout()
-        there, _ = task.communicate(timeout=300)
-    assert there.strip() == here
+def batch_hash(name):
+    """Of world 1 of a batch of three that starts with seed 3."""
+    simulator, bits = Simulator(fovconn_env.scenario(name, **ENDLESS), 3), Bits()
+    simulator.reset(3)
+    bits.add_world(simulator, 1, np.zeros(6))
+    for actions in recorded_actions(ROLLOUT, 6, n_worlds=3, size=0.3):
+        simulator.step(actions)
+        bits.add_world(simulator, 1, simulator.rewards[1])
+    return bits.total.hexdigest()
 
 
-@pytest.mark.parametrize(
-    "clone", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["deepcopy", "pickle"]
-)
+def test_rollout_hash():
+    """The same bits twice, in a batch, and in new processes whose sets and dicts are ordered otherwise."""
+    names = ["LeaderFollow-v0", "TiltDynamics-v0"]
+    script = f"from tests.test_interface import rollout_hash; print(*map(rollout_hash, {names}))"
+
+    def elsewhere(hash_seed):
+        variables = {**os.environ, "PYTHONHASHSEED": hash_seed, "PYTHONPATH": str(ROOT)}
+        command = [sys.executable, "-c", script]
+        return subprocess.run(command, env=variables, capture_output=True, text=True, check=True).stdout.split()
+
+    with ThreadPoolExecutor(2) as pool:
+        there = pool.map(elsewhere, ("0", "7"))
+        here, again = ([rollout_hash(name) for name in names] for _ in range(2))
+        batched = [batch_hash(name) for name in names]
+        assert here == again
+        assert here == batched
+        assert list(there) == [here, here]
+    assert here[0] != here[1]
+
+
+def pickled(env):
+    return pickle.loads(pickle.dumps(env))
+
+
+@pytest.mark.parametrize("clone", [copy.deepcopy, pickled])
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_copy_goes_on_identically(name, clone):
     env = parallel_env(name, **SHORT | NOISY | {"radio": Radio(delay=3), "lambda2": "true"})
@@ -277,6 +376,29 @@ def test_a_copy_goes_on_identically(name, clone):
     fresh.reset(seed=0)
 
 
+@pytest.mark.parametrize("clone", [copy.deepcopy, pickled])
+def test_copies_of_a_new_environment_draw_their_own_worlds(clone):
+    """Else eight workers that are handed copies fly the same world eight times."""
+    env = parallel_env(**SHORT)
+    envs = [env, clone(env), clone(env)]
+
+    def starts(**how):
+        for one in envs:
+            one.reset(**how)
+        return {snapshot(one.simulator, 0)["body.x"] for one in envs}
+
+    with pytest.raises(ValueError, match="poses must"):
+        env.reset(options={"poses": LINE[:3]})
+    assert len(starts()) == 3
+    assert len({one.simulator.state.episode["key"][0] for one in envs}) == 3
+    assert len(starts(seed=3)) == 1
+    assert len(starts()) == 1  # the stream after a seed is that seed's
+    again = [env, clone(env)]
+    for one in again:
+        one.reset()
+    assert differing(*(snapshot(one.simulator, 0) for one in again)) == []  # and a copy goes on with it
+
+
 def test_a_map_of_ones_own_survives_copies():
     pillars = Map().circle((4.0, 4.0), 0.5).polygon([(9, 9), (12, 9), (12, 12), (9, 12)])
     env = parallel_env("LeaderObstacles-v0", map=pillars, **SHORT)
@@ -286,10 +408,12 @@ def test_a_map_of_ones_own_survives_copies():
         assert differing(snapshot(env.simulator, 0), snapshot(twin.simulator, 0)) == []
 
 
-def test_the_aec_environment_can_be_copied():
-    env = fovconn_env.env("Regroup-v0", **SHORT)
+@pytest.mark.parametrize("clone", [copy.deepcopy, pickled])
+@pytest.mark.parametrize("build", [fovconn_env.env, fovconn_env.raw_env])
+def test_the_aec_environment_can_be_copied(build, clone):
+    env = build("Regroup-v0", **SHORT)
     env.reset(seed=0)
-    twin = copy.deepcopy(env)
+    twin = clone(env)
     for one in (env, twin):
         for rows in recorded_actions(3, 4):
             for action in rows[0]:
@@ -510,6 +634,8 @@ WRONG = {
     "words": (GOOD | {"uav_2": ["a", "b", "c", "d"]}, "action of uav_2"),
     "ragged": (GOOD | {"uav_2": [0, [1], 0, 0]}, "action of uav_2"),
     "empty": ({}, "got none for uav_0"),
+    "array": (np.zeros((4, 4)), "actions must be a dict by agent, got ndarray"),
+    "nothing": (None, "actions must be a dict by agent, got NoneType"),
 }
 
 

@@ -276,13 +276,19 @@ def test_bad_poses(poses, words):
     np.testing.assert_array_equal(simulator.poses()[0], FAR)
 
 
-@pytest.mark.parametrize("n_worlds", [0, -1, 1.5, "two"])
+@pytest.mark.parametrize("n_worlds", [0, -1, 1.5, True, None, "two"])
 def test_bad_batches(n_worlds):
-    with pytest.raises((ValueError, TypeError), match="n_worlds must be"):
+    with pytest.raises(ValueError, match=f"n_worlds must be a whole number, at least 1, got {n_worlds!r}"):
         Simulator(small(), n_worlds)
 
 
-@pytest.mark.parametrize("n_threads", [0, -2])
+@pytest.mark.parametrize("chosen", ["LeaderFollow-v0", None, 3])
+def test_a_simulator_needs_a_scenario(chosen):
+    with pytest.raises(TypeError, match=f"must be a Scenario, got {chosen!r}: fovconn_env.scenario"):
+        Simulator(chosen)
+
+
+@pytest.mark.parametrize("n_threads", [0, -2, 1.5, True, "two"])
 def test_bad_threads(n_threads):
     with pytest.raises(ValueError, match="n_threads must be"):
         Simulator(small(), 40, n_threads=n_threads)

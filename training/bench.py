@@ -1,109 +1,187 @@
-"""How fast the environment steps, beside others that are installed: alternating repetitions in one run, medians."""
+"""How fast the environment steps, beside others that are installed: cases taking turns in one run, medians."""
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
+import pickle
 import statistics
+import subprocess
+import sys
 import time
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from baselines import load_policy
-from fovconn_env import Scenario, Simulator, parallel_env
+from fovconn_env import Scenario
+from fovconn_env.vector import VectorEnv
+from training.bench_cases import PEERS, Case, Effort, Plan, plans
 
-N_STEPS = 200  # in a repetition
-Progress = Callable[[int, int], None]
-
-
-class Case(NamedTuple):
-    """Something to time: `work()` makes `steps` environment steps of `agents` agents."""
-
-    name: str
-    work: Callable[[], Any]
-    steps: int
-    agents: int
+GROUPS = ("parallel", "vector", "expert", "sb3", "ppo", "dynamics", "reset", "density", "memory")
+INSTALLED = ("installed", "all")  # in the place of a peer's name
+Progress = Callable[[str, int, int], None]  # what comes next, calls done, calls in all
 
 
 class Timing(NamedTuple):
-    """Environment steps a second of one case, over the repetitions."""
+    """What a case gave: `rates` are environment steps a second (resets in the group "reset"), one a repetition."""
 
+    key: str
     name: str
-    median: float
-    least: float
-    most: float
     agents: int
+    rates: list[float]
+    ends: float  # episodes that ended, per 1000 environment steps
+
+    @property
+    def median(self) -> float:
+        """Environment steps a second."""
+        return statistics.median(self.rates)
 
 
-def cases(scenario: Scenario, batches: list[int], against: list[str]) -> list[Case]:
-    """The environment as `parallel_env`, as bare batches with the expert flying, and the peers asked for."""
-    found = [_parallel(f"parallel_env, N = {scenario.n_agents}", parallel_env(scenario), scenario.n_agents)]
-    found += [_batch(scenario, n_worlds) for n_worlds in batches]
-    return found + [PEERS[_known(name)](scenario.n_agents) for name in against]
+class Memory(NamedTuple):
+    """Peak of a process of its own, in bytes: with everything imported, and after stepping a batch."""
+
+    worlds: int
+    imports: int
+    peak: int
 
 
-def measure(chosen: list[Case], repetitions: int, progress: Progress | None = None) -> list[Timing]:
-    """Time the cases in turn, `repetitions` times after a warm-up, so that a drift of the machine meets them all."""
-    rates: list[list[float]] = [[] for _ in chosen]
-    for case in chosen:
-        case.work()
-    for k in range(repetitions):
-        for case, kept in zip(chosen, rates, strict=True):
-            began = time.perf_counter()
-            case.work()
-            kept.append(case.steps / (time.perf_counter() - began))
+class Agenda(NamedTuple):
+    """What a run will do."""
+
+    scenario: Scenario
+    effort: Effort
+    plans: list[Plan]
+    memory: bool
+    missing: list[str]  # a line for each thing that cannot be timed here
+
+
+class Result(NamedTuple):
+    """What a run gave."""
+
+    agenda: Agenda
+    timings: list[Timing]
+    memory: Memory | None
+
+
+def agenda(chosen: Scenario, effort: Effort, only: Sequence[str] = (), against: Sequence[str] = ()) -> Agenda:
+    """The groups named in `only` (all of them if none is) and the peers named in `against`.
+
+    Raises `ValueError` for a name that is unknown, and for a peer that is not installed.
+    """
+    groups, (peers, missing) = check_groups(only), check_peers(against)
+    if importlib.util.find_spec("stable_baselines3") is None:
+        lost = [group for group in groups if group in ("sb3", "ppo")]
+        groups = [group for group in groups if group not in lost]
+        missing += [f"{group}: needs stable-baselines3, pip install -e '.[learn]'" for group in lost]
+    todo = [plan for plan in plans(chosen, effort, peers) if plan.group in (*groups, "peers")]
+    return Agenda(chosen, effort, todo, "memory" in groups, missing)
+
+
+def run(todo: Agenda, progress: Progress | None = None) -> Result:
+    """Work an agenda off; `progress` is told the name of what comes next, and how much is done."""
+    total, done = len(todo.plans) * (todo.effort.repetitions + 1) + todo.memory, 0
+
+    def tell(name: str) -> None:
+        nonlocal done
         if progress is not None:
-            progress(k + 1, repetitions)
-    return [
-        Timing(case.name, statistics.median(kept), min(kept), max(kept), case.agents)
-        for case, kept in zip(chosen, rates, strict=True)
-    ]
+            progress(name, done, total)
+        done += 1
+
+    memory = None
+    if todo.memory:
+        tell("memory")
+        memory = peak_memory(todo.scenario, max(todo.effort.batches))
+    return Result(todo, measure(todo.plans, todo.effort, tell), memory)
 
 
-def _parallel(name: str, env: Any, n_agents: int) -> Case:
-    """Steps of a PettingZoo environment with one fixed action an agent; it is reset when it ends."""
+def measure(chosen: Sequence[Plan], effort: Effort, tell: Callable[[str], None] = lambda name: None) -> list[Timing]:
+    """Time the cases in turn, `repetitions` times after a warm-up, so that a drift of the machine meets them all.
+
+    `tell` is called with the name of what comes next, repetitions + 1 times a case.
+    """
+    cases: list[Case] = []
+    laps: list[list[tuple[float, int, int]]] = [[] for _ in chosen]
+    for plan in chosen:
+        tell(plan.name)
+        cases.append(plan.make())
+        _lap(cases[-1], effort.seconds / 3)
+    for _ in range(effort.repetitions):
+        for plan, case, kept in zip(chosen, cases, laps, strict=True):
+            tell(plan.name)
+            kept.append(_lap(case, effort.seconds))
+    return [_timing(plan, case, kept) for plan, case, kept in zip(chosen, cases, laps, strict=True)]
+
+
+def _lap(case: Case, seconds: float) -> tuple[float, int, int]:
+    """Call a case for so long, everything it does included: the seconds that count, calls and ends."""
+    stop, counted, calls, ends = time.perf_counter() + seconds, 0.0, 0, 0
+    while calls == 0 or time.perf_counter() < stop:
+        spent, ended = case.call()
+        counted, calls, ends = counted + spent, calls + 1, ends + ended
+    return counted, calls, ends
+
+
+def _timing(plan: Plan, case: Case, laps: list[tuple[float, int, int]]) -> Timing:
+    rates = [calls * case.steps / counted for counted, calls, _ in laps]
+    steps, ends = case.steps * sum(lap[1] for lap in laps), sum(lap[2] for lap in laps)
+    return Timing(plan.key, plan.name, case.agents, rates, 1000.0 * ends / steps)
+
+
+def check_groups(only: Sequence[str]) -> list[str]:
+    """The groups to run, in their own order."""
+    for name in only:
+        if name not in GROUPS:
+            raise ValueError(f"--only must name some of {', '.join(GROUPS)}, got {name!r}")
+    return [group for group in GROUPS if group in only or not only]
+
+
+def check_peers(against: Sequence[str]) -> tuple[list[str], list[str]]:
+    """The peers to run, in their own order, and a line for each that "installed" could not include."""
+    for name in against:
+        if name not in (*PEERS, *INSTALLED):
+            raise ValueError(f"--against must name some of {', '.join(PEERS)}, or installed, got {name!r}")
+        if name in PEERS and not _installed(name):
+            raise ValueError(f"--against {name} needs the package {name}: {PEERS[name].install}")
+    every = any(name in INSTALLED for name in against)
+    peers = [name for name in PEERS if name in against or (every and _installed(name))]
+    return peers, [f"{name}: {PEERS[name].install}" for name in PEERS if every and name not in peers]
+
+
+def _installed(peer: str) -> bool:
+    return importlib.util.find_spec(PEERS[peer].module) is not None
+
+
+# ------------------------------------------------------------------------------------------------------------ memory
+def peak_memory(chosen: Scenario, n_worlds: int) -> Memory:
+    """Peak memory of a process that makes a vector environment, resets it and makes ten steps."""
+    code = "import sys, pickle; from training.bench import fly_once; fly_once(*pickle.load(sys.stdin.buffer))"
+    words = [sys.executable, "-c", code]
+    task = subprocess.run(words, input=pickle.dumps((chosen, n_worlds)), capture_output=True, check=True)
+    imports, peak = task.stdout.split()[-2:]
+    return Memory(n_worlds, int(imports), int(peak))
+
+
+def fly_once(chosen: Scenario, n_worlds: int) -> None:
+    """Make an environment, reset and step it; print the peak memory before and after, in bytes."""
+    before = _peak()
+    env = VectorEnv(chosen, num_envs=n_worlds)
     env.reset(seed=0)
-    actions = {agent: env.action_space(agent).sample() * 0 for agent in env.possible_agents}
-
-    def work() -> None:
-        for _ in range(N_STEPS):
-            if not env.agents:
-                env.reset()
-            env.step(actions)
-
-    return Case(name, work, N_STEPS, n_agents)
+    actions = np.zeros((n_worlds, chosen.n_agents, 4))
+    for _ in range(10):
+        env.step(actions)
+    print(before, _peak())
 
 
-def _batch(scenario: Scenario, n_worlds: int) -> Case:
-    """Steps of a bare batch, the expert's own time included; worlds that end are reset."""
-    simulator = Simulator(scenario, n_worlds)
-    simulator.reset(0)
-    expert = load_policy("expert", scenario)
-    steps = max(1, min(N_STEPS, 20_000 // n_worlds))
+def _peak() -> int:
+    """Peak resident memory of this process so far, in bytes.
 
-    def work() -> None:
-        for _ in range(steps):
-            if simulator.over.any():
-                simulator.reset(mask=simulator.over.copy())
-            simulator.step(expert.act(simulator.observations))
+    On Linux not from `getrusage`: what it says of a child includes what its parent held when it started the child.
+    """
+    with contextlib.suppress(OSError, StopIteration):
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return 1024 * int(next(line for line in lines if line.startswith("VmHWM")).split()[1])
+    import resource
 
-    return Case(f"batch of {n_worlds} with expert", work, steps * n_worlds, scenario.n_agents)
-
-
-def _mpe2(n_agents: int) -> Case:
-    from mpe2 import simple_spread_v3
-
-    env = simple_spread_v3.parallel_env(N=n_agents, max_cycles=np.iinfo(np.int64).max)
-    return _parallel(f"mpe2 simple_spread, N = {n_agents}", env, n_agents)
-
-
-PEERS: dict[str, Callable[[int], Case]] = {"mpe2": _mpe2}
-
-
-def _known(name: str) -> str:
-    if name not in PEERS:
-        raise ValueError(f"--against must name one of {', '.join(PEERS)}, got {name!r}")
-    if importlib.util.find_spec(name) is None:
-        raise ValueError(f"--against {name} needs the package {name}: pip install {name}")
-    return name
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)

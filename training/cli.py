@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
@@ -18,6 +19,8 @@ from rich.table import Table
 import fovconn_env
 from baselines import POLICIES, load_policy
 from fovconn_env import PRESETS, Scenario, scenario
+from training.bench import GROUPS, INSTALLED, agenda, run
+from training.bench_cases import FULL, PEERS, QUICK
 from training.evaluation import Evaluation, evaluate, summary, to_json
 
 app = typer.Typer(
@@ -66,8 +69,7 @@ def evaluate_command(
     """Fly a policy over many seeds and print what it was worth."""
     chosen = scenario(scenario_name, **_parse(settings))
     load_policy(policy, chosen)
-    if json_file is not None:
-        _check_writable(json_file)
+    _check_writable({"--json": json_file})
     with _progress() as bar:
         _warm_up(bar, chosen, policy)
         task = bar.add_task(f"{policy} on {chosen.name}", total=episodes)
@@ -113,30 +115,56 @@ def demo(
 
 @app.command()
 def bench(
+    peers: Annotated[list[str] | None, typer.Argument(metavar="[PEER]...", help="More peers for --against.")] = None,
+    against: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PEER", help=f"Time in the same run: {', '.join(PEERS)} or {INSTALLED[0]}; repeatable."),
+    ] = None,
+    only: Annotated[
+        list[str] | None, typer.Option(metavar="GROUP", help=f"Time only {', '.join(GROUPS)}; repeatable.")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Small batches, few repetitions: does it run?")] = False,
     scenario_name: ScenarioName = "LeaderFollow-v0",
     batches: Annotated[list[int] | None, typer.Option("--batch", help="Worlds in a batch; repeatable.", min=1)] = None,
-    against: Annotated[list[str] | None, typer.Option(help="Peer to time in the same run (mpe2); repeatable.")] = None,
-    repetitions: Annotated[int, typer.Option(help="Repetitions, cases taking turns.", min=1)] = 7,
+    repetitions: Annotated[int | None, typer.Option(help="Repetitions, cases taking turns.", min=1)] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Write everything, each repetition too, here.")
+    ] = None,
+    picture: Annotated[Path | None, typer.Option("--plot", help="Draw it here: .png, .svg or .pdf.")] = None,
     settings: Settings = None,
 ) -> None:
-    """Time the environment: steps a second, medians over repetitions, ratios to the peers."""
-    from training.bench import cases, measure
+    """Time the environment: steps a second, medians over repetitions, ratios to the peers, peak memory."""
+    from training.bench_report import bar_table, machine_line, rate_table, record
 
-    chosen = scenario(scenario_name, **_parse(settings))
+    if peers and not against:
+        raise ValueError(f"{peers[0]!r} is unexpected: peers come after --against, groups each after an --only")
+    chosen, effort = scenario(scenario_name, **_parse(settings)), QUICK if quick else FULL
+    effort = effort._replace(batches=tuple(batches or effort.batches), repetitions=repetitions or effort.repetitions)
+    todo = agenda(chosen, effort, only or (), [*(against or ()), *(peers or ())])
+    if picture is not None:
+        from training.bench_plot import KINDS, plot
+
+        if picture.suffix not in KINDS:
+            raise ValueError(f"--plot must end in one of {', '.join(KINDS)}, got {str(picture)!r}")
+    _check_writable({"--json": json_file, "--plot": picture})
     with _progress() as bar:
         _warm_up(bar, chosen, "expert")
-        task = bar.add_task("timing", total=repetitions)
-        found = cases(chosen, batches or [1, 64, 1024], against or [])
-        timings = measure(found, repetitions, lambda done, total: bar.update(task, completed=done, total=total))
-    table = Table(title=f"steps a second, {chosen.name}, median of {repetitions} (least to most)", title_justify="left")
-    for column in ("case", "environment steps / s", "agent steps / s", "least to most"):
-        table.add_column(column, justify="left" if column == "case" else "right")
-    for timing in timings:
-        spread = f"{timing.least:,.0f} to {timing.most:,.0f}"
-        table.add_row(timing.name, f"{timing.median:,.0f}", f"{timing.median * timing.agents:,.0f}", spread)
-    out.print(table)
-    for peer in timings[len(timings) - len(against or []) :]:
-        out.print(f"parallel_env / {peer.name}: {timings[0].median / peer.median:.1f} times as many", highlight=False)
+        task = bar.add_task("timing", total=None)
+        result = run(todo, lambda name, done, total: bar.update(task, description=name, completed=done, total=total))
+        bar.update(task, description="timed", total=1, completed=1)
+    report = record(result)
+    out.print(_grid(f"{chosen.name}, medians of {effort.repetitions} repetitions", *rate_table(report)))
+    out.print()
+    out.print(_grid("ratios of a repetition, medians" + ", too quick for the bars" * quick, *bar_table(report)))
+    out.print(f"\n{machine_line(report)}", highlight=False)
+    for line in report["missing"]:
+        out.print(f"not timed: {line}", highlight=False, markup=False)
+    if json_file is not None:
+        json_file.write_text(json.dumps(report, indent=1) + "\n")
+        out.print(f"wrote {json_file}")
+    if picture is not None:
+        plot(report, picture)
+        out.print(f"wrote {picture}")
 
 
 @contextmanager
@@ -201,6 +229,17 @@ def _table(result: Evaluation) -> Table:
     return table
 
 
+def _grid(title: str, head: list[str], rows: list[list[str]]) -> Table:
+    """A table with the words on the left and the numbers on the right."""
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD)
+    table.show_edge, table.pad_edge, table.collapse_padding = False, False, True  # fits in 80 letters
+    for column in head:
+        table.add_column(column, justify="left" if column == head[0] else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
 def _parse(settings: list[str] | None) -> dict[str, Any]:
     """NAME=VALUE strings as keywords; values are Python literals, anything else a word."""
     changes = {}
@@ -215,10 +254,16 @@ def _parse(settings: list[str] | None) -> dict[str, Any]:
     return changes
 
 
-def _check_writable(file: Path) -> None:
-    if file.is_dir() or not file.parent.is_dir():
-        raise ValueError(f"--json must name a file in an existing folder, got {str(file)!r}: make the folder first")
-    file.touch()  # fails now rather than after the flights
+def _check_writable(files: dict[str, Path | None]) -> None:
+    """Files by their option, None if it was not used."""
+    given = {option: file for option, file in files.items() if file is not None}
+    for option, file in given.items():
+        if file.is_dir() or not file.parent.is_dir():
+            raise ValueError(
+                f"{option} must name a file in an existing folder, got {str(file)!r}: make the folder first"
+            )
+    for file in given.values():
+        file.touch()  # fails now rather than after the flights
 
 
 if __name__ == "__main__":

@@ -86,7 +86,7 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
     return {
         "policy": evaluation.policy,
         "scenario": evaluation.scenario.name,
-        "settings": _plain(evaluation.scenario),
+        "settings": plain(evaluation.scenario),
         "fovconn_env": fovconn_env.__version__,
         "seeds": evaluation.seeds,
         "summary": {name: _clean(value) for name, value in summary(evaluation).items()},
@@ -101,13 +101,13 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
     }
 
 
-def _plain(settings: Any) -> Any:
+def plain(settings: Any) -> Any:
     """Settings as JSON-ready values; a map of the user's own as its pieces."""
     if isinstance(settings, Map):
         pieces, vertices = settings.flatten()
         return {"pieces": pieces.tolist(), "vertices": vertices.tolist()}
     if dataclasses.is_dataclass(settings):
-        return {item.name: _plain(getattr(settings, item.name)) for item in dataclasses.fields(settings)}
+        return {item.name: plain(getattr(settings, item.name)) for item in dataclasses.fields(settings)}
     return _clean(settings.item() if isinstance(settings, np.generic) else settings)
 
 

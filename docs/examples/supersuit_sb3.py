@@ -43,8 +43,7 @@ def make_env(n_worlds: int, seed: int, **settings: Any) -> VecEnv:
     rows = supersuit.pettingzoo_env_to_vec_env_v1(EndsForSb3(world))
     # num_cpus above 0 makes processes, and then the script hangs at its end unless it calls close().
     env: Any = supersuit.concat_vec_envs_v1(rows, n_worlds, num_cpus=0, base_class="stable_baselines3")
-    # Clones have the same generator, and there is no seed(): without this reset all worlds would be the same one. SB3's
-    # own reset then goes on from here.
+    # There is no seed(): without this reset the worlds would be others in every run. SB3's own reset goes on from here.
     env.venv.reset(seed=seed)
     return VecMonitor(env, info_keywords=("succeeded",))
 

@@ -1,0 +1,316 @@
+"""What `fovconn bench` times: one function a case.
+
+What counts is the call of `step` alone. Our flights are flown by the expert, whose own time counts only where a case
+says so: robots that stand still step about a sixth faster. A world that ends is reset inside the vector environment's
+step, which counts. Flights last about 1000 steps, so a short run meets no reset in a large batch, where all worlds are
+young, and many in a small one: `ends` counts them, and a reset has a row of its own. How far a flight has come makes no
+difference to a step. Peers get the same action in every step and are never reset.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import time
+import warnings
+from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from baselines import load_policy
+from fovconn_env import Scenario, Simulator, parallel_env, scenario
+from fovconn_env.vector import VectorEnv
+
+SIZES = (3, 6, 12, 24, 48)  # robots in a team, at one density
+CIRCLE = (0.1, 0.0, 0.0, 1.0)  # 0.25 m/s and 1 rad/s by default
+
+
+class Effort(NamedTuple):
+    """How much of everything is done."""
+
+    repetitions: int = 9
+    seconds: float = 0.2  # of a case in a repetition, at least one call
+    batches: tuple[int, ...] = (1, 64, 1024, 4096)
+    rows: int = 64  # worlds of the SB3 cases, of PPO and of the reset
+    robots: int = 1536  # in all worlds of a team size together
+    learn_steps: int = 128  # of PPO, between two updates
+
+    @property
+    def main(self) -> int:
+        """Worlds of the cases that are compared: 1024 if it is there."""
+        return 1024 if 1024 in self.batches else max(self.batches)
+
+
+FULL = Effort()
+QUICK = Effort(repetitions=2, seconds=0.05, batches=(1, 16), rows=8, robots=48, learn_steps=4)
+
+
+class Case(NamedTuple):
+    """Something to time: `call()` does `steps` environment steps and returns the seconds that count and the ends."""
+
+    agents: int
+    steps: int
+    call: Callable[[], tuple[float, int]]
+
+
+class Plan(NamedTuple):
+    """A case to be made: `key` is for the program, `name` for the reader."""
+
+    group: str
+    key: str
+    name: str
+    make: Callable[[], Case]
+
+
+def plans(chosen: Scenario, effort: Effort, peers: list[str]) -> list[Plan]:
+    """All cases; what is compared stands close together, so that a drift of the machine meets both alike."""
+    main, rows = effort.main, effort.rows
+    quadrotor = scenario(chosen, dynamics="quadrotor")
+    found = [
+        Plan("parallel", "parallel flat", "parallel_env, flat", partial(_parallel, chosen, flat=True)),
+        Plan("dynamics", "parallel quadrotor", "parallel_env, quadrotor", partial(_parallel, quadrotor)),
+        Plan("reset", "reset 1", "reset, parallel_env", partial(_reset, chosen, None)),
+        Plan("parallel", "parallel", "parallel_env", partial(_parallel, chosen)),
+    ]
+    found += [_peer_plan(name, chosen.n_agents, 1) for name in peers if not PEERS[name].batched]
+    for b in sorted({*effort.batches, main}, key=lambda b: (b == main, b)):
+        found.append(Plan("vector", f"vector {b}", f"vector, B = {b}", partial(_vector, chosen, b)))
+    for b in sorted({main, max(effort.batches)}):
+        found += [_peer_plan(name, chosen.n_agents, b) for name in peers if PEERS[name].batched]
+    found += [
+        Plan("dynamics", "quadrotor", f"quadrotor, B = {main}", partial(_vector, quadrotor, main)),
+        Plan("expert", "flown", f"vector + expert, B = {main}", partial(_vector, chosen, main, True)),
+        Plan("expert", "expert", f"expert alone, B = {main}", partial(_expert, chosen, main)),
+    ]
+    for b in sorted({rows, main}, reverse=True):
+        found.append(Plan("sb3", f"sb3 {b}", f"SB3 rows, B = {b}", partial(_sb3, chosen, b)))
+        found.append(Plan("sb3", f"core {b}", f"Simulator.step, B = {b}", partial(_core, chosen, b)))
+    found.append(Plan("reset", "reset", f"reset, B = {rows}", partial(_reset, chosen, rows)))
+    found.append(Plan("ppo", "ppo", f"PPO end to end, B = {rows}", partial(_ppo, chosen, rows, effort.learn_steps)))
+    for dynamics, size in itertools.product(("kinematic", "quadrotor"), SIZES):
+        team, b = at_one_density(chosen, size, dynamics), max(effort.robots // size, 1)
+        key, name = f"{dynamics} N={size}", f"N = {size} {dynamics}, B = {b}"
+        found.append(Plan("density", key, name, partial(_density, team, b)))
+    return found
+
+
+def _peer_plan(name: str, n_agents: int, n_worlds: int) -> Plan:
+    peer = PEERS[name]
+    key, size = (f"{name} {n_worlds}", f", B = {n_worlds}") if peer.batched else (name, "")
+    return Plan("peers", key, peer.title + size, partial(_made_quietly, peer.make, n_agents, n_worlds))
+
+
+# -------------------------------------------------------------------------------------------------------- our cases
+def _parallel(chosen: Scenario, flat: bool = False) -> Case:
+    """Steps of a PettingZoo environment; a flight that ended is begun anew outside the clock, as its user would."""
+    env, expert = parallel_env(chosen, flat=flat), load_policy("expert", chosen)
+    env.reset(seed=0)
+
+    def call() -> tuple[float, int]:
+        if not env.agents:
+            env.reset()
+        actions = dict(zip(env.agents, expert.act(env.simulator.observations[0]), strict=True))
+        began = time.perf_counter()
+        env.step(actions)
+        return time.perf_counter() - began, int(not env.agents)
+
+    return Case(chosen.n_agents, 1, call)
+
+
+def _vector(chosen: Scenario, n_worlds: int, whole: bool = False) -> Case:
+    """Steps of the vector environment with its resets; with `whole` the expert's time counts, too."""
+    env, expert = VectorEnv(chosen, num_envs=n_worlds), load_policy("expert", chosen)
+    observations, _ = env.reset(seed=0)
+
+    def call() -> tuple[float, int]:
+        nonlocal observations
+        began = time.perf_counter()
+        actions = expert.act(observations)
+        decided = time.perf_counter()
+        observations, _, terminated, truncated, _ = env.step(actions)
+        done = time.perf_counter()
+        return done - (began if whole else decided), int((terminated | truncated).sum())
+
+    return Case(chosen.n_agents, n_worlds, call)
+
+
+def _density(chosen: Scenario, n_worlds: int) -> Case:
+    """Steps of the vector environment while every robot flies a small circle, so that the density stays."""
+    env = VectorEnv(chosen, num_envs=n_worlds)
+    env.reset(seed=0)
+    actions = np.broadcast_to(np.array(CIRCLE), (n_worlds, chosen.n_agents, 4)).copy()
+
+    def call() -> tuple[float, int]:
+        began = time.perf_counter()
+        _, _, terminated, truncated, _ = env.step(actions)
+        return time.perf_counter() - began, int((terminated | truncated).sum())
+
+    return Case(chosen.n_agents, n_worlds, call)
+
+
+def at_one_density(chosen: Scenario, n_agents: int, dynamics: str) -> Scenario:
+    """`n_agents` robots without an end, six of them in 8 m x 8 m x 3 m and more in as much more area."""
+    endless: dict[str, Any] = {"patience": math.inf, "max_cycles": 10**9, "course.goal_lambda2": 1e9}
+    start = {"box": (8.0, 8.0, 3.0), "spacing": 0.6, "lambda2_low": 0.0, "lambda2_high": math.inf}
+    team = {"n_agents": n_agents, "leader": "none", "leader_index": 0, "collision_robot": 0.01, "map": None}
+    starts = {f"start.{name}": value for name, value in start.items()}
+    return scenario(chosen, dynamics=dynamics, **endless, **team, **starts)
+
+
+def _expert(chosen: Scenario, n_worlds: int) -> Case:
+    """Decisions of the expert, for a batch as it starts."""
+    expert, observations = load_policy("expert", chosen), Simulator(chosen, n_worlds).reset(0)
+
+    def call() -> tuple[float, int]:
+        began = time.perf_counter()
+        expert.act(observations)
+        return time.perf_counter() - began, 0
+
+    return Case(chosen.n_agents, n_worlds, call)
+
+
+def _core(chosen: Scenario, n_worlds: int) -> Case:
+    """Steps of the bare batch, resets included as in the adapters above it."""
+    simulator, expert = Simulator(chosen, n_worlds), load_policy("expert", chosen)
+    simulator.reset(0)
+
+    def call() -> tuple[float, int]:
+        actions = expert.act(simulator.observations)
+        began = time.perf_counter()
+        simulator.step(actions)
+        over = simulator.over.copy()
+        if over.any():
+            simulator.reset(mask=over)
+        return time.perf_counter() - began, int(over.sum())
+
+    return Case(chosen.n_agents, n_worlds, call)
+
+
+def _sb3(chosen: Scenario, n_worlds: int) -> Case:
+    """Steps of the Stable-Baselines3 rows as `make_vec_env` gives them, within its monitor."""
+    from training.sb3 import make_vec_env
+
+    env, expert = make_vec_env(chosen, n_worlds, seed=0), load_policy("expert", chosen)
+    observations: Any = env.reset()
+
+    def call() -> tuple[float, int]:
+        nonlocal observations
+        actions = expert.act(observations)
+        began = time.perf_counter()
+        observations, _, dones, _ = env.step(actions)
+        return time.perf_counter() - began, int(dones.sum()) // chosen.n_agents
+
+    return Case(chosen.n_agents, n_worlds, call)
+
+
+def _ppo(chosen: Scenario, n_worlds: int, n_steps: int) -> Case:
+    """Rollouts and updates of PPO as in docs/examples/sb3_ppo.py; the policy is a beginner, so flights end early."""
+    from stable_baselines3 import PPO
+
+    from training.sb3 import make_vec_env
+
+    rows = n_worlds * chosen.n_agents
+    policy = {"net_arch": [64, 64], "log_std_init": -1.0}
+    sizes: dict[str, Any] = {"n_steps": n_steps, "batch_size": rows * n_steps // 8, "n_epochs": 5, "gamma": 0.995}
+    env: Any = make_vec_env(chosen, n_worlds, seed=0)
+    model = PPO("MlpPolicy", env, policy_kwargs=policy, seed=0, device="cpu", **sizes)
+
+    def call() -> tuple[float, int]:
+        ended, began = env.episode_count, time.perf_counter()
+        model.learn(rows * n_steps, reset_num_timesteps=False)
+        return time.perf_counter() - began, (env.episode_count - ended) // chosen.n_agents
+
+    return Case(chosen.n_agents, n_worlds * n_steps, call)
+
+
+def _reset(chosen: Scenario, n_worlds: int | None) -> Case:
+    """Resets of all worlds of a batch, or of a `parallel_env`: starts are searched and the estimators warm up."""
+    env: Any = parallel_env(chosen) if n_worlds is None else Simulator(chosen, n_worlds)
+    env.reset(seed=0)
+
+    def call() -> tuple[float, int]:
+        began = time.perf_counter()
+        env.reset()
+        return time.perf_counter() - began, 0
+
+    return Case(chosen.n_agents, n_worlds or 1, call)
+
+
+# ------------------------------------------------------------------------------------------------------------- peers
+def _vmas(n_agents: int, n_worlds: int) -> Case:
+    import torch
+    import vmas
+
+    torch.manual_seed(0)
+    env: Any = vmas.make_env(
+        "flocking", num_envs=n_worlds, device="cpu", continuous_actions=True, seed=0, n_agents=n_agents
+    )
+    return _peer(env, [2.0 * torch.rand(n_worlds, 2) - 1.0 for _ in range(n_agents)], n_agents, n_worlds)
+
+
+def _mpe2(n_agents: int, n_worlds: int) -> Case:
+    from mpe2 import simple_spread_v3
+
+    env = simple_spread_v3.parallel_env(N=n_agents, max_cycles=np.iinfo(np.int64).max)
+    env.reset(seed=0)
+    for k, agent in enumerate(env.possible_agents):
+        env.action_space(agent).seed(k)
+    return _peer(env, {agent: env.action_space(agent).sample() for agent in env.possible_agents}, n_agents, n_worlds)
+
+
+def _gym_pybullet_drones(n_agents: int, n_worlds: int) -> Case:
+    from gym_pybullet_drones.envs.VelocityAviary import VelocityAviary
+
+    env = VelocityAviary(num_drones=n_agents)
+    env.reset(seed=0)
+    return _peer(env, np.zeros((n_agents, 4)), n_agents, n_worlds)  # they hover
+
+
+def _peer(env: Any, actions: Any, n_agents: int, n_worlds: int) -> Case:
+    def call() -> tuple[float, int]:
+        began = time.perf_counter()
+        env.step(actions)
+        return time.perf_counter() - began, 0
+
+    return Case(n_agents, n_worlds, call)
+
+
+class Peer(NamedTuple):
+    """Another environment, timed by the call its users make."""
+
+    module: str
+    title: str
+    make: Callable[[int, int], Case]  # robots, worlds
+    install: str
+    batched: bool = False
+
+
+PEERS = {
+    "vmas": Peer("vmas", "VMAS flocking", _vmas, "pip install vmas", batched=True),
+    "mpe2": Peer("mpe2", "mpe2 simple_spread", _mpe2, "pip install mpe2"),
+    "gym-pybullet-drones": Peer(
+        "gym_pybullet_drones",
+        "gym-pybullet-drones",
+        _gym_pybullet_drones,
+        "it is not on PyPI, install it from a clone of github.com/utiasDSL/gym-pybullet-drones",
+    ),
+}
+
+
+def _made_quietly(make: Callable[[int, int], Case], n_agents: int, n_worlds: int) -> Case:
+    """A peer's case; what it prints and warns about meanwhile, from C too, is lost."""
+    kept = os.dup(1), os.dup(2)
+    with open(os.devnull, "w") as hole, warnings.catch_warnings(), redirect_stdout(hole), redirect_stderr(hole):
+        warnings.simplefilter("ignore")
+        try:
+            for stream in (1, 2):
+                os.dup2(hole.fileno(), stream)
+            return make(n_agents, n_worlds)
+        finally:
+            for stream, copy in zip((1, 2), kept, strict=True):
+                os.dup2(copy, stream)
+                os.close(copy)

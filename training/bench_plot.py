@@ -1,0 +1,104 @@
+"""The picture of a record of `fovconn bench`: steps a second over the batch, and a robot's step over the team."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+from fovconn_env.render.style import DARK, FAINT, FOLLOWERS, RC, page
+
+KINDS = (".png", ".svg", ".pdf")
+OURS, PEER, SECOND, THIRD = FOLLOWERS[0], FOLLOWERS[1], FOLLOWERS[6], FOLLOWERS[2]
+
+# start of the keys or key, label, colour, marker
+LINES = (
+    ("vector ", "vector env", OURS, "o-"),
+    ("sb3 ", "Stable-Baselines3 rows", SECOND, "s-"),
+    ("vmas ", "VMAS flocking", PEER, "D-"),
+)
+POINTS = (
+    ("parallel", "parallel_env", OURS, "^"),
+    ("mpe2", "mpe2 simple_spread", THIRD, "v"),
+    ("gym-pybullet-drones", "gym-pybullet-drones", FOLLOWERS[4], "P"),
+)
+
+
+def plot(report: dict[str, Any], path: Path) -> None:
+    """Draw a record to a file of one of `KINDS`."""
+    with matplotlib.rc_context(RC):
+        figure = page(10.0, 4.6)
+        left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
+        _steps(left, report["cases"])
+        _cost(right, report["cases"])
+        about, versions = report["machine"], report["versions"]
+        text = f"fovconn-env {versions.get('fovconn-env', '')}, {about['cpu']}, cores: {about['cores']}"
+        figure.supxlabel(f"{text}; medians, bars from least to most", fontsize=8, color=FAINT, x=0.01, ha="left")
+        figure.savefig(path, facecolor="white")
+
+
+def _steps(axes: Axes, cases: list[dict[str, Any]]) -> None:
+    axes.set(title="Environment steps a second", xlabel="worlds in the batch, B", xscale="log", yscale="log")
+    worlds: set[int] = set()
+    for start, label, color, style in LINES:
+        found = {int(case["key"][len(start) :]): case for case in cases if case["key"].startswith(start)}
+        worlds |= set(found)
+        _line(axes, found, "median", style, color, label)
+    by_key = {case["key"]: case for case in cases}
+    for key, label, color, style in POINTS:
+        _line(axes, {1: by_key[key]} if key in by_key else {}, "median", style, color, label)
+    _ticks(axes, sorted(worlds))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+    keys = {point[0] for point in POINTS}
+    shown = [case for case in cases if case["key"] in keys or case["key"].startswith(tuple(row[0] for row in LINES))]
+    drawn = [case[end] for case in shown for end in ("least", "most")]
+    if worlds:
+        axes.set(xlim=(min(worlds) / 1.5, max(worlds) * 1.5), ylim=(min(drawn) / 1.5, max(drawn) * 1.5))
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=3)
+
+
+def _cost(axes: Axes, cases: list[dict[str, Any]]) -> None:
+    axes.set(title="Time of a robot's step at one density", xlabel="robots in the team, N", xscale="log")
+    axes.set_ylabel("µs, all cores together")
+    sizes: set[int] = set()
+    for dynamics, color, style in (("kinematic", OURS, "o-"), ("quadrotor", PEER, "s-")):
+        start = f"{dynamics} N="
+        found = {int(case["key"][len(start) :]): case for case in cases if case["key"].startswith(start)}
+        sizes |= set(found)
+        _line(axes, found, "cost", style, color, dynamics)
+    base = next((case for case in cases if case["key"] == "kinematic N=6"), None)
+    for n, times in ((24, 3), (48, 5)):
+        if base is None:
+            break
+        limit = times * 1e6 / base["agent_median"]
+        axes.plot([n / 1.12, n * 1.12], [limit, limit], color=DARK, lw=1.6)
+        axes.text(n * 1.16, limit, f"{times} x N = 6", va="center", fontsize=8, color=DARK)
+    _ticks(axes, sorted(sizes))
+    axes.set_ylim(bottom=0.0)
+    if sizes:
+        axes.set_xlim(min(sizes) / 1.2, max(sizes) * 1.9)  # room for the words
+        axes.legend(loc="upper left")
+
+
+def _line(axes: Axes, found: dict[int, dict[str, Any]], kind: str, style: str, color: str, label: str) -> None:
+    """Medians with bars from the least to the most, over B or N; kind: "median" rates or the "cost" in µs."""
+    if not found:
+        return
+    xs = sorted(found)
+    rows = [[found[x][name] for name in ("median", "least", "most")] for x in xs]
+    if kind == "cost":
+        rows = [
+            [1e6 / (rate * found[x]["agents"]) for rate in (a, c, b)] for x, (a, b, c) in zip(xs, rows, strict=True)
+        ]
+    medians = [row[0] for row in rows]
+    spread = [[a - b for a, b, _ in rows], [c - a for a, _, c in rows]]
+    axes.errorbar(xs, medians, spread, fmt=style, color=color, label=label, ms=6, lw=1.6, elinewidth=1.0, capsize=2)
+
+
+def _ticks(axes: Axes, values: list[int]) -> None:
+    axes.xaxis.set_major_locator(FixedLocator(values))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.0f}"))

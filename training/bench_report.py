@@ -1,0 +1,176 @@
+"""What a run of `fovconn bench` says: a JSON-ready record with ratios beside their bars, and tables made from it."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+import statistics
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:  # docs/tables.py makes its tables from a record, without the environment
+    from training.bench import Result, Timing
+
+PACKAGES = (
+    "fovconn-env numpy numba gymnasium pettingzoo torch stable-baselines3 vmas mpe2 gym-pybullet-drones pybullet"
+).split()
+GIB = 2.0**30
+Table = tuple[list[str], list[list[str]]]  # head, rows
+
+
+class Bar(NamedTuple):
+    """A ratio of two cases' agent steps a second, repetition by repetition, and what it is held against."""
+
+    text: str
+    over: str  # key of a case
+    under: tuple[str, ...]  # keys, the fastest one counts; without any it is `over` itself
+    bar: float
+    at_most: bool = False
+
+
+def bars(main: int, largest: int, rows: int) -> list[Bar]:
+    """The bars, for the sizes of an `Effort`."""
+    vector = f"vector {main}"
+    vmas = tuple(dict.fromkeys((f"vmas {main}", f"vmas {largest}")))
+    costs = ((f"kinematic N={n}", n, bar) for n, bar in ((24, 3.0), (48, 5.0)))
+    return [
+        Bar(f"vector, B = {main} / VMAS, better B", vector, vmas, 4.0),
+        Bar("parallel_env / mpe2", "parallel", ("mpe2",), 6.0),
+        Bar("parallel_env / gym-pybullet-drones", "parallel", ("gym-pybullet-drones",), 15.0),
+        *(Bar(f"SB3 rows / Simulator.step, B = {b}", f"sb3 {b}", (f"core {b}",), 0.7) for b in sorted({rows, main})),
+        Bar("PPO end to end, robot steps/s", "ppo", (), 50_000.0),
+        Bar(f"quadrotor / kinematic, B = {main}", "quadrotor", (vector,), 0.25),
+        *(Bar(f"time per robot, N = {n} / N = 6", "kinematic N=6", (key,), bar, True) for key, n, bar in costs),
+        Bar(f"time of reset / step, B = {rows}", f"core {rows}", ("reset",), 150.0, True),
+        Bar("time of reset / step, parallel_env", "parallel", ("reset 1",), 150.0, True),
+    ]
+
+
+def record(result: Result) -> dict[str, Any]:
+    """Everything about a run that is worth keeping."""
+    from training.evaluation import plain
+
+    todo, memory = result.agenda, result.memory
+    effort = todo.effort
+    sizes = effort.main, max(effort.batches), effort.rows
+    torch = sys.modules.get("torch")
+    return {
+        "finished": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "machine": machine() | ({"torch_threads": torch.get_num_threads()} if torch else {}),
+        "versions": versions(),
+        "scenario": todo.scenario.name,
+        "settings": plain(todo.scenario),
+        "effort": effort._asdict(),
+        "missing": todo.missing,
+        "cases": [_case(timing) for timing in result.timings],
+        "memory": memory._asdict() if memory else None,
+        "ratios": [found for bar in bars(*sizes) if (found := ratio(bar, result.timings)) is not None],
+    }
+
+
+def _case(timing: Timing) -> dict[str, Any]:
+    numbers = {"median": timing.median, "least": min(timing.rates), "most": max(timing.rates)}
+    numbers["agent_median"] = timing.median * timing.agents
+    return timing._asdict() | numbers
+
+
+def ratio(bar: Bar, timings: Sequence[Timing]) -> dict[str, Any] | None:
+    """The median over the repetitions of a paired ratio, beside its bar; None if a case is not there."""
+    by_key = {timing.key: timing for timing in timings}
+    if bar.over not in by_key or not all(key in by_key for key in bar.under):
+        return None
+    over = [rate * by_key[bar.over].agents for rate in by_key[bar.over].rates]
+    under = [1.0] * len(over)
+    if bar.under:
+        best = max((by_key[key] for key in bar.under), key=lambda timing: timing.median * timing.agents)
+        under = [rate * best.agents for rate in best.rates]
+    each = [a / b for a, b in zip(over, under, strict=True)]
+    median = statistics.median(each)
+    holds = median <= bar.bar if bar.at_most else median >= bar.bar
+    return bar._asdict() | {"each": each, "ratio": median, "least": min(each), "most": max(each), "holds": holds}
+
+
+def machine() -> dict[str, Any]:
+    """The processor and the system, without names of this computer."""
+    cpu = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.is_file():
+        named = [line.partition(":")[2].strip() for line in info.read_text().splitlines() if "model name" in line]
+        cpu = named[0] if named else cpu
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    system = f"{platform.system()} {platform.release()}"
+    return {"cpu": cpu, "cores": cores, "system": system, "python": platform.python_version()}
+
+
+def versions() -> dict[str, str]:
+    """Versions of what is installed of all that is timed."""
+    found = {}
+    for name in PACKAGES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+# ------------------------------------------------------------------------------------------------------------ tables
+def rate_table(report: dict[str, Any]) -> Table:
+    """Steps a second of every case of a record."""
+    head = ["case", "env steps/s", "least–most", "robot steps/s", "ends/1000"]
+    rows = [
+        [
+            case["name"],
+            _count(case["median"]),
+            f"{_short(case['least'])}–{_short(case['most'])}",
+            _count(case["agent_median"]),
+            f"{case['ends']:.2f}",
+        ]
+        for case in report["cases"]
+    ]
+    return head, rows
+
+
+def bar_table(report: dict[str, Any]) -> Table:
+    """The ratios of a record beside their bars, and the peak memory."""
+    rows = [
+        [
+            found["text"],
+            _count(found["ratio"]),
+            f"{_short(found['least'])}–{_short(found['most'])}",
+            f"{'≤' if found['at_most'] else '≥'} {_count(found['bar'])}",
+            "yes" if found["holds"] else "no",
+        ]
+        for found in report["ratios"]
+    ]
+    memory = report["memory"]
+    if memory:
+        peak, imports = memory["peak"] / GIB, memory["imports"] / GIB
+        text = f"peak memory, B = {memory['worlds']}, GiB"
+        rows.append([text, f"{peak:.2f}", f"imports {imports:.2f}", "< 1", "yes" if peak < 1.0 else "no"])
+    return ["ratio", "median", "least–most", "bar", "holds"], rows
+
+
+def machine_line(report: dict[str, Any]) -> str:
+    """The machine and the versions of a record in one line."""
+    about = report["machine"]
+    parts = [f"{about['cpu']}, cores: {about['cores']}", about["system"], f"Python {about['python']}"]
+    parts += [f"{name} {version}" for name, version in report["versions"].items()]
+    if "torch_threads" in about:
+        parts.append(f"torch threads: {about['torch_threads']}")
+    return "; ".join(parts)
+
+
+def _count(value: float) -> str:
+    """A rate with three figures that count."""
+    digits = len(str(int(value)))
+    return f"{round(value, 3 - digits):,.0f}" if digits >= 3 else f"{value:.3g}"
+
+
+def _short(value: float) -> str:
+    """The same in few letters: 285k."""
+    scale, letter = (1e6, "M") if value >= 999.5e3 else (1e3, "k") if value >= 999.5 else (1.0, "")
+    return f"{value / scale:.3g}{letter}"
