@@ -1,5 +1,6 @@
 """Stable-Baselines3's view of the environment; runs where it is installed (extra `learn`)."""
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -9,6 +10,7 @@ pytest.importorskip("stable_baselines3")
 
 from stable_baselines3 import PPO
 
+from tests.helpers import digest
 from training.sb3 import make_vec_env
 
 SHORT = {"warmup": 0.1, "max_cycles": 7}
@@ -52,3 +54,52 @@ def test_ppo_learns_a_step():
     model = PPO("MlpPolicy", env, n_steps=16, batch_size=96, n_epochs=1, seed=0, device="cpu")
     model.learn(12 * 16)
     assert model.num_timesteps == 192
+
+
+# ------------------------------------------------------------------------------------------------------- bad input
+@pytest.mark.parametrize("count", [0, -1, 2.5, True, None])
+def test_a_wrong_number_of_worlds(count):
+    with pytest.raises(ValueError, match=f"n_worlds must be a whole number, at least 1, got {count!r}:"):
+        make_vec_env(n_worlds=count, **SHORT)
+
+
+WITH_NAN = np.where(np.arange(12)[:, None] == 8, [0.0, 0.0, 0.0, np.nan], 0.0)  # row 8 is robot 2 of world 1
+WRONG = {
+    "by world": (np.zeros((2, 6, 4)), r"actions must have the shape \(12, 4\), got \(2, 6, 4\)"),
+    "joined": (np.zeros((2, 24)), r"actions must have the shape \(12, 4\), got \(2, 24\)"),
+    "turned": (np.zeros((4, 12)), r"actions must have the shape \(12, 4\), got \(4, 12\)"),
+    "flat": (np.zeros(48), r"actions must have the shape \(12, 4\), got \(48,\)"),
+    "one world": (np.zeros((6, 4)), r"actions must have the shape \(12, 4\), got \(6, 4\)"),
+    "none": (None, r"actions must have the shape \(12, 4\), got \(\)"),
+    "words": ("go", "actions must be an array of numbers, got 'go'"),
+    "nan": (WITH_NAN, r"action of uav_2 of world 1 must be finite, got \[0.0, 0.0, 0.0, nan\]"),
+    "inf": (np.full((12, 4), np.inf), "action of uav_0 of world 0 must be finite"),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+@pytest.mark.parametrize("monitor", [False, True])
+def test_wrong_actions_change_nothing(monitor, wrong):
+    """No world has moved, and all go on as if nothing had been, also over an end."""
+    actions, message = WRONG[wrong]
+    env, twin = (make_vec_env(n_worlds=2, seed=4, monitor=monitor, **SHORT) for _ in range(2))
+    for one in (env, twin):
+        one.reset()
+        one.step(np.full((12, 4), 0.3))
+    with pytest.raises(ValueError, match=message):
+        env.step(actions)
+    assert digest(env.unwrapped.simulator) == digest(twin.unwrapped.simulator)
+    for _ in range(8):
+        here, there = (one.step(np.full((12, 4), -0.2)) for one in (env, twin))
+        for a, b in zip(here[:3], there[:3], strict=True):
+            np.testing.assert_array_equal(a, b)
+        assert [info.keys() for info in here[3]] == [info.keys() for info in there[3]]
+    assert digest(env.unwrapped.simulator) == digest(twin.unwrapped.simulator)
+
+
+def test_it_needs_a_reset():
+    env = make_vec_env(n_worlds=2, seed=4, **SHORT)
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.unwrapped.step(np.zeros((12, 4)))
+    with pytest.raises(ValueError, match="seed must be a whole number, at least 0, or 2 of them, got -1"):
+        make_vec_env(n_worlds=2, seed=-1, **SHORT).reset()

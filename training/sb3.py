@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import gymnasium
 import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
 from fovconn_env import Scenario, Simulator, layout, scenario
+from fovconn_env.settings import as_numbers
 
 EPISODE_KEYS = ("success", "connected", "collision")  # reach VecMonitor's episode infos, and so TensorBoard
 
@@ -50,12 +52,20 @@ class RobotsVecEnv(VecEnv):
         return self._observations()
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Keep the actions (B N, 4) for `step_wait`."""
-        self._actions = np.asarray(actions).reshape(self._actions.shape)
+        """Keep the actions (B N, 4) for `step_wait`. Raises `ValueError` for another shape."""
+        actions, shape = as_numbers("actions", actions), (self.num_envs, len(layout.ACTION))
+        if actions.shape != shape:
+            raise ValueError(f"actions must have the shape {shape}, got {actions.shape}: (robots, vx vy vz yaw_rate)")
+        self._actions = actions.reshape(self._actions.shape)
 
     def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Step; observations, rewards (B N,), dones (B N,) and one info dict a row."""
+        """Step; observations, rewards (B N,), dones (B N,) and one info dict a row.
+
+        Raises `ValueError` for NaN, naming world and robot, before anything moves.
+        """
         simulator, n = self.simulator, self.scenario.n_agents
+        if simulator.over.all():  # worlds that end are reset at once: none was reset yet
+            raise gymnasium.error.ResetNeeded("step() needs episodes under way: call reset() first")
         simulator.step(self._actions)
         rewards = simulator.rewards.reshape(-1).astype(np.float32)
         over = simulator.over.copy()
