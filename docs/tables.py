@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # runs from a clone without 
 from baselines import Gains
 from fovconn_env import layout, scenarios, settings
 from fovconn_env.layout import Column
-from training.bench_report import bar_table, machine_line, rate_table
+from training.bench_report import bar_table, machine_line, rate_table, restless
 
 ROOT = Path(__file__).parents[1]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -84,7 +84,7 @@ def bench_table(name: str) -> str:
     """A Markdown table of the committed benchmark: "rates" or "bars"; or "machine", a line of text."""
     report = json.loads((ROOT / "docs" / "benchmark.json").read_text("utf-8"))
     if name == "machine":
-        return f"Measured {report['finished'][:10]} on {machine_line(report)}."
+        return f"Measured {report['finished'][:10]} on {machine_line(report)}. {restless(report)}".rstrip()
     return _markdown(*{"rates": rate_table, "bars": bar_table}[name](report))
 
 

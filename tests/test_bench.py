@@ -13,9 +13,9 @@ import pytest
 from fovconn_env import Simulator, scenario
 from training import bench, bench_report, cli
 from training.bench import GROUPS, Agenda, Memory, Result, Timing, agenda, measure, peak_memory, run
-from training.bench_cases import FULL, PEERS, SIZES, Case, Effort, Plan, at_one_density, plans
+from training.bench_cases import FULL, PEERS, SIZES, Case, Effort, Plan, _on_one_thread, at_one_density, plans
 from training.bench_plot import KINDS, plot
-from training.bench_report import Bar, bar_table, bars, machine, machine_line, rate_table, ratio, record
+from training.bench_report import Bar, bar_table, bars, machine, machine_line, rate_table, ratio, record, restless
 
 TINY = scenario(n_agents=3, warmup=0.1, max_cycles=8)
 LEAST = Effort(repetitions=3, seconds=0.0, batches=(1, 2), rows=2, robots=48, learn_steps=4)
@@ -199,6 +199,25 @@ def test_a_record_survives_json(report):
         assert {len(row) for row in rows} == {len(head)}
     assert len(rate_table(report)[1]) == len(report["cases"])
     assert "numpy " in machine_line(again)
+
+
+def test_a_busy_machine_is_told():
+    calm, busy = timing("a", 100.0, 105.0), timing("b", 100.0, 160.0)
+    found = [record(Result(Agenda(TINY, LEAST, [], False, []), [t], None)) for t in (calm, busy)]
+    assert restless(found[0]) == ""
+    assert "1.6 times" in restless(found[1])
+
+
+def test_one_thread():
+    torch = pytest.importorskip("torch")
+    torch.set_num_threads(2)
+    seen = []
+    plan = Plan(
+        "peers", "vmas 64", "VMAS", lambda: Case(6, 1, lambda: (seen.append(torch.get_num_threads()) or 1.0, 0))
+    )
+    one = _on_one_thread(plan)
+    assert (one.key, one.make().call()) == ("vmas-one 64", (1.0, 0))
+    assert (seen, torch.get_num_threads()) == ([1], 2)
 
 
 def test_the_machine_is_told_without_its_name():

@@ -4,7 +4,8 @@ What counts is the call of `step` alone. Our flights are flown by the expert, wh
 says so: robots that stand still step about a sixth faster. A world that ends is reset inside the vector environment's
 step, which counts. Flights last about 1000 steps, so a short run meets no reset in a large batch, where all worlds are
 young, and many in a small one: `ends` counts them, and a reset has a row of its own. How far a flight has come makes no
-difference to a step. Peers get the same action in every step and are never reset.
+difference to a step. Peers get the same action in every step and are never reset. What uses torch is timed with its
+default number of threads and with one: two small threads wait for each other, badly so when the machine is busy.
 """
 
 from __future__ import annotations
@@ -80,7 +81,8 @@ def plans(chosen: Scenario, effort: Effort, peers: list[str]) -> list[Plan]:
     for b in sorted({*effort.batches, main}, key=lambda b: (b == main, b)):
         found.append(Plan("vector", f"vector {b}", f"vector, B = {b}", partial(_vector, chosen, b)))
     for b in sorted({main, max(effort.batches)}):
-        found += [_peer_plan(name, chosen.n_agents, b) for name in peers if PEERS[name].batched]
+        for plan in [_peer_plan(name, chosen.n_agents, b) for name in peers if PEERS[name].batched]:
+            found += [plan, _on_one_thread(plan)]
     found += [
         Plan("dynamics", "quadrotor", f"quadrotor, B = {main}", partial(_vector, quadrotor, main)),
         Plan("expert", "flown", f"vector + expert, B = {main}", partial(_vector, chosen, main, True)),
@@ -90,12 +92,35 @@ def plans(chosen: Scenario, effort: Effort, peers: list[str]) -> list[Plan]:
         found.append(Plan("sb3", f"sb3 {b}", f"SB3 rows, B = {b}", partial(_sb3, chosen, b)))
         found.append(Plan("sb3", f"core {b}", f"Simulator.step, B = {b}", partial(_core, chosen, b)))
     found.append(Plan("reset", "reset", f"reset, B = {rows}", partial(_reset, chosen, rows)))
-    found.append(Plan("ppo", "ppo", f"PPO end to end, B = {rows}", partial(_ppo, chosen, rows, effort.learn_steps)))
+    ppo = Plan("ppo", "ppo", f"PPO, B = {rows}", partial(_ppo, chosen, rows, effort.learn_steps))
+    found += [ppo, _on_one_thread(ppo)]
     for dynamics, size in itertools.product(("kinematic", "quadrotor"), SIZES):
         team, b = at_one_density(chosen, size, dynamics), max(effort.robots // size, 1)
         key, name = f"{dynamics} N={size}", f"N = {size} {dynamics}, B = {b}"
         found.append(Plan("density", key, name, partial(_density, team, b)))
     return found
+
+
+def _on_one_thread(plan: Plan) -> Plan:
+    """The same case with one torch thread; its key tells, "vmas 64" becomes "vmas-one 64"."""
+
+    def make() -> Case:
+        import torch
+
+        case = plan.make()
+
+        def call() -> tuple[float, int]:
+            usual = torch.get_num_threads()
+            torch.set_num_threads(1)
+            try:
+                return case.call()
+            finally:
+                torch.set_num_threads(usual)
+
+        return case._replace(call=call)
+
+    name, blank, size = plan.key.partition(" ")
+    return plan._replace(key=f"{name}-one{blank}{size}", name=f"{plan.name}, 1 thread", make=make)
 
 
 def _peer_plan(name: str, n_agents: int, n_worlds: int) -> Plan:
@@ -290,7 +315,7 @@ class Peer(NamedTuple):
 
 
 PEERS = {
-    "vmas": Peer("vmas", "VMAS flocking", _vmas, "pip install vmas", batched=True),
+    "vmas": Peer("vmas", "VMAS", _vmas, "pip install vmas", batched=True),
     "mpe2": Peer("mpe2", "mpe2 simple_spread", _mpe2, "pip install mpe2"),
     "gym-pybullet-drones": Peer(
         "gym_pybullet_drones",

@@ -18,7 +18,7 @@ OURS, PEER, SECOND, THIRD = FOLLOWERS[0], FOLLOWERS[1], FOLLOWERS[6], FOLLOWERS[
 LINES = (
     ("vector ", "vector env", OURS, "o-"),
     ("sb3 ", "Stable-Baselines3 rows", SECOND, "s-"),
-    ("vmas ", "VMAS flocking", PEER, "D-"),
+    ("vmas", "VMAS flocking, best", PEER, "D-"),
 )
 POINTS = (
     ("parallel", "parallel_env", OURS, "^"),
@@ -44,7 +44,9 @@ def _steps(axes: Axes, cases: list[dict[str, Any]]) -> None:
     axes.set(title="Environment steps a second", xlabel="worlds in the batch, B", xscale="log", yscale="log")
     worlds: set[int] = set()
     for start, label, color, style in LINES:
-        found = {int(case["key"][len(start) :]): case for case in cases if case["key"].startswith(start)}
+        found: dict[int, dict[str, Any]] = {}
+        for case in sorted((case for case in cases if case["key"].startswith(start)), key=lambda case: case["median"]):
+            found[int(case["key"].split()[1])] = case  # the best of those with the same B
         worlds |= set(found)
         _line(axes, found, "median", style, color, label)
     by_key = {case["key"]: case for case in cases}

@@ -134,7 +134,7 @@ def bench(
     settings: Settings = None,
 ) -> None:
     """Time the environment: steps a second, medians over repetitions, ratios to the peers, peak memory."""
-    from training.bench_report import bar_table, machine_line, rate_table, record
+    from training.bench_report import bar_table, machine_line, rate_table, record, restless
 
     if peers and not against:
         raise ValueError(f"{peers[0]!r} is unexpected: peers come after --against, groups each after an --only")
@@ -157,6 +157,8 @@ def bench(
     out.print()
     out.print(_grid("ratios of a repetition, medians" + ", too quick for the bars" * quick, *bar_table(report)))
     out.print(f"\n{machine_line(report)}", highlight=False)
+    if restless(report):
+        out.print(restless(report), style="yellow", highlight=False)
     for line in report["missing"]:
         out.print(f"not timed: {line}", highlight=False, markup=False)
     if json_file is not None:
