@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import os
 import pickle
 from collections.abc import Sequence
@@ -17,7 +18,7 @@ from fovconn_env.scenarios import Scenario
 from fovconn_env.settings import as_numbers, check_count, rule
 from fovconn_env.world import NO_ACTIONS, NO_MASK, Scout, Start, allocate, clear, place, scratch
 
-WORLDS_PER_THREAD = 16  # fewer are not worth a thread
+WORLDS_PER_SLICE = 16  # fewer are not worth the way to another thread
 
 
 def _cores() -> int:
@@ -45,7 +46,7 @@ class Simulator:
         self.state.episode["over"] = True  # until the first reset
         self._scout = Scout(scenario)
         self._rngs: list[np.random.Generator | None] = [None] * n_worlds  # each from its world's first reset on
-        self._n_threads = min(n_threads or _cores(), max(n_worlds // WORLDS_PER_THREAD, 1))
+        self._n_threads = min(n_threads or _cores(), max(n_worlds // WORLDS_PER_SLICE, 1))
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
         warm = scenario.warmup if scenario.lambda2 == "power" else 0.0
         self._warm_ticks = max(round(warm / scenario.clock.tick), 2)  # two fill the observation
@@ -224,21 +225,24 @@ class Simulator:
         self.state.episode["max_steps"][b] = self.max_cycles
 
     def _run(self, task: int, actions: np.ndarray, mask: np.ndarray, into: np.ndarray | None = None) -> None:
-        """Run a task over all worlds, in slices on threads where there are worlds enough."""
+        """Run a task over all worlds; where there are worlds enough, threads take slices of them in turn."""
+        n_slices = 1 if self._n_threads == 1 else min(4 * self._n_threads, self.n_worlds // WORLDS_PER_SLICE)
+        edges = [self.n_worlds * k // n_slices for k in range(n_slices + 1)]
+        slices = iter(list(itertools.pairwise(edges)))  # to take the next one is atomic
 
-        def work(first: int, last: int) -> None:
+        def work() -> None:
             own = scratch(self.scenario.n_agents)
-            step.run(task, self.state, self.world, own, self.params, actions, mask, self._warm_ticks, first, last)
-            if into is not None:
-                into[first:last] = self.state.flat[first:last]
+            for first, last in slices:
+                step.run(task, self.state, self.world, own, self.params, actions, mask, self._warm_ticks, first, last)
+                if into is not None:
+                    into[first:last] = self.state.flat[first:last]
 
-        if self._n_threads == 1:
-            work(0, self.n_worlds)
-            return
-        if self._pool is None or self._pool[0] != os.getpid():  # a forked child has no threads of its parent
-            self._pool = os.getpid(), ThreadPoolExecutor(self._n_threads)
-        edges = np.linspace(0, self.n_worlds, self._n_threads + 1).astype(int).tolist()
-        list(self._pool[1].map(work, edges[:-1], edges[1:]))
+        if self._n_threads > 1 and (self._pool is None or self._pool[0] != os.getpid()):
+            self._pool = os.getpid(), ThreadPoolExecutor(self._n_threads - 1)  # a forked child has none of its parent
+        helpers = [self._pool[1].submit(work) for _ in range(self._n_threads - 1)] if self._pool else []
+        work()
+        for helper in helpers:
+            helper.result()
 
     def __getstate__(self) -> dict:
         return {**self.__dict__, "_pool": None}
