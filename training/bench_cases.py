@@ -38,7 +38,7 @@ class Effort(NamedTuple):
     batches: tuple[int, ...] = (1, 64, 1024, 4096)
     rows: int = 64  # worlds of the SB3 cases, of PPO and of the reset
     robots: int = 1536  # in all worlds of a team size together
-    learn_steps: int = 128  # of PPO, between two updates
+    learn_steps: int = 64  # of PPO, between two updates
 
     @property
     def main(self) -> int:
@@ -240,7 +240,7 @@ def _ppo(chosen: Scenario, n_worlds: int, n_steps: int) -> Case:
 
     rows = n_worlds * chosen.n_agents
     policy = {"net_arch": [64, 64], "log_std_init": -1.0}
-    sizes: dict[str, Any] = {"n_steps": n_steps, "batch_size": rows * n_steps // 8, "n_epochs": 5, "gamma": 0.995}
+    sizes: dict[str, Any] = {"n_steps": n_steps, "batch_size": rows * n_steps // 4, "n_epochs": 4, "gamma": 0.995}
     env: Any = make_vec_env(chosen, n_worlds, seed=0)
     model = PPO("MlpPolicy", env, policy_kwargs=policy, seed=0, device="cpu", **sizes)
 
