@@ -41,7 +41,7 @@ class Simulator:
             check_count("n_threads", n_threads, "leave it out for one a core")
         self.scenario, self.n_worlds = scenario, n_worlds
         self.max_cycles = scenario.max_cycles
-        self.params = np.repeat(scenario.params(), n_worlds)
+        self.params = scenario.params()
         self.world, self.state = allocate(scenario, n_worlds, 1, 1)
         self.state.episode["over"] = True  # until the first reset
         self._scout = Scout(scenario)

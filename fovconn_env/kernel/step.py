@@ -33,9 +33,10 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
     z, yaw), key and max_steps; the estimators then warm up for `warm_ticks`, bodies held, the clock at 0. One entry
     for both, because each entry compiles everything below it.
     """
+    p = params[0]
     n, who, whom, first_of = state.body.shape[1], scratch.who, scratch.whom, scratch.first
     for b in range(first, last):
-        episode, p = state.episode[b], params[b]
+        episode = state.episode[b]
         if (task == BEGIN and not mask[b]) or (task == ADVANCE and episode.over):
             continue
         bodies, flights, pairs, infos = state.body[b], state.flight[b], state.pair[b], state.info[b]
