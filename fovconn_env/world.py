@@ -74,8 +74,8 @@ def scratch(n_agents: int) -> types.Scratch:
     return types.Scratch(
         laplacian=np.empty((n, n)),
         spectrum=np.empty((n + N_VECTORS, n)),
-        who=np.empty(n * n, np.int64),
-        whom=np.empty(n * n, np.int64),
+        who=np.empty(n * n, np.uint32),
+        whom=np.empty(n * n, np.uint32),
         first=np.empty(n + 1, np.int64),
     )
 

@@ -204,8 +204,8 @@ class Scratch(NamedTuple):
 
     laplacian: np.ndarray  # (N, N)
     spectrum: np.ndarray  # (N + spectrum.N_VECTORS, N)
-    who: np.ndarray  # (N N,) int64: the pairs that have to do with each other, see camera.muster
-    whom: np.ndarray  # (N N,) int64
+    who: np.ndarray  # (N N,) uint32: the pairs that have to do with each other, see camera.muster
+    whom: np.ndarray  # (N N,) uint32
     first: np.ndarray  # (N + 1,) int64
 
 
