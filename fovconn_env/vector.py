@@ -98,7 +98,8 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         return self.simulator.graph(b)
 
     def _infos(self) -> dict[str, np.ndarray]:
-        rows = self.simulator.infos.copy()  # once, whole: the entries below are views of it
+        rows = self.simulator.infos
+        rows = rows.view(np.float64).copy().view(rows.dtype)  # one block: numpy copies records field by field
         return {
             column.name: rows[column.name][:, 0] if column.name in TEAM_KEYS else rows[column.name]
             for column in layout.INFO
