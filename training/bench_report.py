@@ -44,7 +44,6 @@ def bars(main: int, largest: int, rows: int) -> list[Bar]:
         Bar("parallel_env / gym-pybullet-drones", "parallel", ("gym-pybullet-drones",), 15.0),
         *(Bar(f"SB3 rows / Simulator.step, B = {b}", f"sb3 {b}", (f"core {b}",), 0.7) for b in sorted({rows, main})),
         Bar("PPO, robot steps/s", "ppo", (), 50_000.0),
-        Bar("PPO, 1 thread, robot steps/s", "ppo-one", (), 50_000.0),
         Bar(f"quadrotor / kinematic, B = {main}", "quadrotor", (vector,), 0.25),
         *(Bar(f"time per robot, N = {n} / N = 6", "kinematic N=6", (key,), bar, True) for key, n, bar in costs),
         Bar(f"time of reset / step, B = {rows}", f"core {rows}", ("reset",), 150.0, True),
