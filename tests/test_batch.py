@@ -36,7 +36,7 @@ def build(case, n_worlds=1, **more):
 @pytest.fixture
 def tiny_slices(monkeypatch):
     """Threads even for a few worlds."""
-    monkeypatch.setattr(simulator_module, "WORLDS_PER_THREAD", 1)
+    monkeypatch.setattr(simulator_module, "WORLDS_PER_SLICE", 1)
 
 
 @pytest.mark.parametrize("case", CASES)
