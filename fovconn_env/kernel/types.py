@@ -204,7 +204,9 @@ class Scratch(NamedTuple):
 
     laplacian: np.ndarray  # (N, N)
     spectrum: np.ndarray  # (N + spectrum.N_VECTORS, N)
-    who: np.ndarray  # (N N,) uint32: the pairs that have to do with each other, see camera.muster
+    # the pairs that have to do with each other, see camera.muster; unsigned, as numba checks each use of a signed index
+    # for counting from the end
+    who: np.ndarray  # (N N,) uint32
     whom: np.ndarray  # (N N,) uint32
     first: np.ndarray  # (N + 1,) int64
 
