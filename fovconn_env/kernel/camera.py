@@ -32,6 +32,8 @@ def look(bodies, pairs, piece, vertex, p):
             near = 1.0 / max(distance, 1e-9)
             ij.distance = ji.distance = distance
             a.nearest, b.nearest = min(a.nearest, distance), min(b.nearest, distance)
+            if distance >= p.d_max and ij.asleep == p.rest_ticks:
+                continue  # out of reach, and has been for long: the rest stays as it is
             x, y, z = near * dx, near * dy, near * dz
             a_ij = a.ox * (a.cos_yaw * x + a.sin_yaw * y) + a.oy * (a.cos_yaw * y - a.sin_yaw * x) + a.oz * z
             a_ji = -(b.ox * (b.cos_yaw * x + b.sin_yaw * y) + b.oy * (b.cos_yaw * y - b.sin_yaw * x) + b.oz * z)

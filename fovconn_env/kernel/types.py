@@ -121,7 +121,7 @@ FLIGHT = _record(
 PAIR = _record(
     [
         *_numbers("distance"),
-        *_numbers("cosine"),  # a_ij: between i's optical axis and the direction of j
+        *_numbers("cosine"),  # a_ij: between i's optical axis and the direction of j; old where j is out of reach
         ("blocked", "b1"),  # an obstacle stands in the line of sight
         ("seen", "b1"),  # i's camera can see j now
         ("linked", "b1"),  # messages pass now
