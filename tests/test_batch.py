@@ -1,6 +1,8 @@
 """A world alone, in a batch, on any number of threads, in another process, copied: the same bits in every field."""
 
 import copy
+import multiprocessing
+import os
 import pickle
 import subprocess
 import sys
@@ -104,6 +106,36 @@ def test_a_reset_forgets_the_past():
     new.reset(7)
     for b in (0, 1):
         assert differing(snapshot(old, b), snapshot(new, b)) == []
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+@pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")  # Python 3.12 and newer
+def test_a_forked_child_goes_on_with_threads_of_its_own(tiny_slices):
+    """As in SubprocVecEnv: after the parent has stepped on two threads, both go on, with the same bits."""
+    batch = Simulator(scenario("LeaderFollow-v0"), WORLDS, n_threads=2)
+    batch.reset(3)
+    actions = recorded_actions(8, 6, n_worlds=WORLDS)
+    for action in actions[:4]:
+        batch.step(action)
+    assert batch._pool is not None  # there were threads
+
+    def go_on(pipe):
+        for action in actions[4:]:
+            batch.step(action)
+        pipe.send(digest(batch))
+
+    here, there = multiprocessing.Pipe()
+    child = multiprocessing.get_context("fork").Process(target=go_on, args=(there,))
+    child.start()
+    try:
+        assert here.poll(60), "the child hangs"
+        answer = here.recv()
+        child.join(10)
+        assert child.exitcode == 0
+    finally:
+        child.kill()
+    go_on(there)
+    assert here.recv() == answer
 
 
 def test_worlds_that_are_over_stand_still():

@@ -1,5 +1,7 @@
 """Stable-Baselines3's view of the environment; runs where it is installed (extra `learn`)."""
 
+import csv
+
 import gymnasium
 import numpy as np
 import pytest
@@ -9,9 +11,10 @@ from fovconn_env import Simulator, scenario
 pytest.importorskip("stable_baselines3")
 
 from stable_baselines3 import PPO
+from stable_baselines3.common.logger import configure
 
 from tests.helpers import digest
-from training.sb3 import make_vec_env
+from training.sb3 import EPISODE_KEYS, EpisodeLog, make_vec_env
 
 SHORT = {"warmup": 0.1, "max_cycles": 7}
 
@@ -103,3 +106,21 @@ def test_it_needs_a_reset():
         env.unwrapped.step(np.zeros((12, 4)))
     with pytest.raises(ValueError, match="seed must be a whole number, at least 0, or 2 of them, got -1"):
         make_vec_env(n_worlds=2, seed=-1, **SHORT).reset()
+
+
+def test_shares_of_flights_reach_the_logger(tmp_path):
+    """Robots dash about at up to 20 m/s: some flights split, others last their two seconds."""
+    env = make_vec_env(n_worlds=4, seed=4, warmup=0.1, max_cycles=40, speed_limit=20.0, stick_speed=0.1)
+    model = PPO("MlpPolicy", env, n_steps=64, batch_size=128, n_epochs=1, seed=0, policy_kwargs={"log_std_init": 1.0})
+    model.set_logger(configure(str(tmp_path), ["csv"]))
+    model.learn(4 * 6 * 64, callback=EpisodeLog())
+    model.logger.close()
+    with (tmp_path / "progress.csv").open() as file:
+        logged = list(csv.DictReader(file))[-1]
+    ended = model.ep_info_buffer
+    assert len(ended) > 24
+    for key in EPISODE_KEYS:
+        mean = sum(episode[key] for episode in ended) / len(ended)
+        assert float(logged[f"rollout/{key}"]) == pytest.approx(mean)
+    assert 0.0 < float(logged["rollout/connected"]) < 1.0
+    assert float(logged["rollout/success_rate"]) == float(logged["rollout/success"]) == 0.0

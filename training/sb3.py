@@ -8,20 +8,23 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.utils import safe_mean
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
 from fovconn_env import Scenario, Simulator, layout, scenario
 from fovconn_env.settings import as_numbers
 
-EPISODE_KEYS = ("success", "connected", "collision")  # reach VecMonitor's episode infos, and so TensorBoard
+EPISODE_KEYS = ("success", "connected", "collision")  # reach VecMonitor's episode infos, see `EpisodeLog`
 
 
 class RobotsVecEnv(VecEnv):
     """B worlds of N robots as B x N rows; row b N + i is robot i of world b. Worlds that end are reset at once.
 
     Observations (B N, D) float32, or with `state=True` a `Dict` of "observation" and the world's privileged "state"
-    for centralised critics. infos follow SB3: `terminal_observation` and `TimeLimit.truncated` at an end, and
-    `EPISODE_KEYS` of the episode that ended.
+    for centralised critics. infos follow SB3: `terminal_observation`, `TimeLimit.truncated` and `is_success` at an end,
+    and `EPISODE_KEYS` of the episode that ended: shares from 0 to 1 of flights that succeeded, were connected in every
+    step, or ended by a collision.
     """
 
     def __init__(self, chosen: Scenario, n_worlds: int, *, state: bool = False, n_threads: int | None = None) -> None:
@@ -77,6 +80,7 @@ class RobotsVecEnv(VecEnv):
                 episode = simulator.state.episode[b]
                 outcome = {
                     "TimeLimit.truncated": bool(episode["truncated"] and not episode["terminated"]),
+                    "is_success": bool(episode["success"]),  # SB3 logs rollout/success_rate
                     "success": float(episode["success"]),
                     "connected": float(not self._split[b]),
                     "collision": float(episode["collision"]),
@@ -112,6 +116,22 @@ class RobotsVecEnv(VecEnv):
         if not self.with_state:
             return flat
         return {"observation": flat, "state": np.repeat(self.simulator.privileged(), self.scenario.n_agents, axis=0)}
+
+
+class EpisodeLog(BaseCallback):
+    """Writes the means of `EPISODE_KEYS` over the last episodes to SB3's logger, and so to TensorBoard, as rollout/...
+
+    For `model.learn(..., callback=EpisodeLog())` with an environment of `make_vec_env`.
+    """
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_end(self) -> None:
+        for key in EPISODE_KEYS:
+            ended = [episode[key] for episode in self.model.ep_info_buffer or () if key in episode]
+            if ended:
+                self.logger.record(f"rollout/{key}", safe_mean(ended))
 
 
 def make_vec_env(

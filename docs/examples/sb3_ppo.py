@@ -16,7 +16,7 @@ import numpy as np
 from stable_baselines3 import PPO
 
 import fovconn_env
-from training.sb3 import make_vec_env
+from training.sb3 import EpisodeLog, make_vec_env
 
 TEST_SEEDS = range(1_000_000, 1_000_020)  # world b trains from seed + b on: these are far away
 
@@ -46,7 +46,7 @@ def train(
         seed=seed,
         device="cpu",  # a net this small is faster there
     )
-    return model.learn(robot_steps, progress_bar=progress)
+    return model.learn(robot_steps, callback=EpisodeLog(), progress_bar=progress)
 
 
 def evaluate(model: PPO, seeds: Sequence[int] = TEST_SEEDS, **settings: Any) -> dict[str, float]:
