@@ -164,8 +164,7 @@ class Simulator:
         """Apply actions (B, N, 4), shares in [-1, 1] (`layout.ACTION`; beyond is clipped), and return observations.
 
         into, (B, N, D) float32, gets a copy of them, made by the threads that step. Worlds whose episode is over stay
-        as they are. Raises `ValueError` for a wrong shape or NaN, naming world and
-        robot, before anything moves.
+        as they are. Raises `ValueError` for a wrong shape or NaN, naming world and robot, before anything moves.
         """
         actions = as_numbers("actions", actions)
         shape = (self.n_worlds, self.scenario.n_agents, 4)

@@ -2,16 +2,14 @@
 
 import importlib.util
 import json
-import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from fovconn_env import Simulator, scenario
-from training import bench, bench_report, cli
+from training import bench, bench_report
 from training.bench import GROUPS, Agenda, Memory, Result, Timing, agenda, measure, peak_memory, run
 from training.bench_cases import FULL, PEERS, SIZES, Case, Effort, Plan, _on_one_thread, at_one_density, plans
 from training.bench_plot import KINDS, plot
@@ -256,18 +254,10 @@ def test_the_page_shows_the_committed_run():
 
 # -------------------------------------------------------------------------------------------------------------- command
 @pytest.fixture
-def fovconn(monkeypatch, capsys, tmp_path):
+def fovconn(fovconn, monkeypatch):
+    """In a narrow window."""
     monkeypatch.setenv("COLUMNS", "80")
-    monkeypatch.chdir(tmp_path)
-
-    def run_it(*words):
-        monkeypatch.setattr(sys, "argv", ["fovconn", *map(str, words)])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        shown = capsys.readouterr()
-        return SimpleNamespace(status=end.value.code or 0, out=shown.out, err=shown.err)
-
-    return run_it
+    return fovconn
 
 
 def test_the_command(fovconn):

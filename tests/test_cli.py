@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,22 +24,6 @@ from training.evaluation import evaluate, summary
 ROOT = Path(__file__).parents[1]
 COMMANDS = ("eval", "demo", "bench")
 TINY = ("--set", "n_agents=3", "--set", "max_cycles=40", "--set", "warmup=0.5")
-
-
-@pytest.fixture
-def fovconn(monkeypatch, capsys, tmp_path):
-    """Run the command in this process: status, stdout, stderr."""
-    monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.chdir(tmp_path)
-
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["fovconn", *map(str, words)])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        shown = capsys.readouterr()
-        return SimpleNamespace(status=end.value.code or 0, out=shown.out, err=shown.err)
-
-    return run
 
 
 # ---------------------------------------------------------------------------------------------------------------- help

@@ -77,11 +77,11 @@ def _cost(axes: Axes, cases: list[dict[str, Any]]) -> None:
             break
         limit = times * 1e6 / base["agent_median"]
         axes.plot([n / 1.12, n * 1.12], [limit, limit], color=DARK, lw=1.6)
-        axes.text(n / 1.2, limit, f"{times} x N = 6", ha="right", va="center", fontsize=8, color=DARK)
+        axes.text(n * 1.14, 0.985 * limit, f"{times} x N = 6", va="top", fontsize=8, color=DARK)
     _ticks(axes, sorted(sizes))
     axes.set_ylim(bottom=0.0)
     if sizes:
-        axes.set_xlim(min(sizes) / 1.2, max(sizes) * 1.2)
+        axes.set_xlim(min(sizes) / 1.2, max(sizes) * 1.9)  # room for the words
         axes.legend(loc="upper left")
 
 

@@ -1,0 +1,24 @@
+"""Fixtures that several files use."""
+
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+
+@pytest.fixture
+def fovconn(monkeypatch, capsys, tmp_path):
+    """Run the command in this process: status, stdout, stderr."""
+    from training import cli  # not at the top: the libraries' environments have no rich
+
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["fovconn", *map(str, words)])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        shown = capsys.readouterr()
+        return SimpleNamespace(status=end.value.code or 0, out=shown.out, err=shown.err)
+
+    return run
