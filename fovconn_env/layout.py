@@ -97,6 +97,12 @@ BROADCAST = (
 MESSAGE = (*NOTE, *BROADCAST)
 BYTES_PER_MESSAGE = 4 * len(MESSAGE)  # on air every field is one 32-bit number
 
+
+def bytes_per_table(n_agents: int) -> int:
+    """What the first message of a tick carries more with lambda2 = "flooding": N rows of N weights and a tick."""
+    return 4 * n_agents * (n_agents + 1)
+
+
 # One robot's part of the privileged state; `yaw` here is the leader's.
 STATE = (
     *_vector("", "xyz", "m", "leader's yaw", "world", "position from the leader"),

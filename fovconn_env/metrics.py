@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fovconn_env.flight import true_yaw
-from fovconn_env.layout import BYTES_PER_MESSAGE
+from fovconn_env.layout import BYTES_PER_MESSAGE, bytes_per_table
 from fovconn_env.simulator import Simulator
 
 WARM = 5.0  # s after the first motion from which the validity of yaw estimates counts
@@ -82,6 +82,8 @@ class Meter:
         scenario, episode = sim.scenario, sim.state.episode
         n, steps = scenario.n_agents, np.maximum(sums["steps"], 1)
         duration, pairs = steps * scenario.step_time, n * (n - 1) / 2
+        flooded = bytes_per_table(n) if scenario.lambda2 == "flooding" else 0  # with one message of a tick's
+        per_message = BYTES_PER_MESSAGE + flooded / scenario.clock.rounds
         return {
             "never_disconnected": np.isnan(self._first_loss).astype(float),
             "success": episode["success"].astype(float),
@@ -101,7 +103,7 @@ class Meter:
             "saturated_share": sums["saturated"] / steps,
             "yaw_valid_mutual": _ratio(sums["mutual_valid"], sums["mutual_time"]),
             "yaw_valid_one_way": _ratio(sums["one_way_valid"], sums["one_way_time"]),
-            "messages_per_second": sums["bytes"] / BYTES_PER_MESSAGE / duration,
+            "messages_per_second": sums["bytes"] / per_message / duration,
             "bytes_per_second": sums["bytes"] / duration,
             "return": sums["reward"],
         }

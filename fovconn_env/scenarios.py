@@ -19,6 +19,7 @@ from fovconn_env.settings import (
     Camera,
     Clock,
     Course,
+    Flooding,
     Noise,
     PowerIteration,
     Radio,
@@ -34,12 +35,12 @@ from fovconn_env.settings import (
 SWITCHES: dict[str, tuple[str, ...]] = {
     "dynamics": ("kinematic", "quadrotor"),
     "weight": ("union", "product", "omni"),
-    "lambda2": ("power", "true", "none"),
+    "lambda2": ("power", "flooding", "true", "none"),
     "relative_yaw": ("estimated", "true", "none"),
     "link": ("sight", "radio"),
     "leader": ("waypoints", "none"),
 }
-_PREFIXED = ("yaw", "power", "reward")  # groups whose fields carry the group's name in Params
+_PREFIXED = ("yaw", "power", "flooding", "reward")  # groups whose fields carry the group's name in Params
 
 
 _GROUPS: dict[str, type] = {
@@ -49,6 +50,7 @@ _GROUPS: dict[str, type] = {
     "radio": Radio,
     "yaw": YawEstimator,
     "power": PowerIteration,
+    "flooding": Flooding,
     "noise": Noise,
     "airframe": Airframe,
     "start": Start,
@@ -89,7 +91,7 @@ class Scenario:
     n_agents: int = 6
     dynamics: Literal["kinematic", "quadrotor"] = "kinematic"
     weight: Literal["union", "product", "omni"] = "union"  # what runs on board; the judge always uses (11)
-    lambda2: Literal["power", "true", "none"] = "power"  # "true" is an oracle
+    lambda2: Literal["power", "flooding", "true", "none"] = "power"  # "true" is an oracle
     relative_yaw: Literal["estimated", "true", "none"] = "estimated"  # "true" is an oracle
     link: Literal["sight", "radio"] = "sight"  # messages pass while A_ij > 0, or within d_max
     leader: Literal["waypoints", "none"] = "waypoints"  # what moves the operator's stick
@@ -112,6 +114,7 @@ class Scenario:
     radio: Radio = field(default_factory=Radio)
     yaw: YawEstimator = field(default_factory=YawEstimator)
     power: PowerIteration = field(default_factory=PowerIteration)
+    flooding: Flooding = field(default_factory=Flooding)
     noise: Noise = field(default_factory=Noise)
     airframe: Airframe = field(default_factory=Airframe)
     start: Start = field(default_factory=Start)

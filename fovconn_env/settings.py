@@ -177,6 +177,16 @@ class PowerIteration:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Flooding:
+    """lambda2 and v2 from rows of A flooded through the team, each robot solving for itself (lambda2="flooding")."""
+
+    memory: float = 1.0  # s after which a robot whose row is not renewed counts as gone
+
+    def __post_init__(self) -> None:
+        check_numbers(self, above="memory")
+
+
+@dataclass(frozen=True, kw_only=True)
 class Noise:
     """Sensor noise (redrawn each tick) and bias (drawn once an episode), standard deviations; 0 in the paper."""
 

@@ -48,7 +48,7 @@ class Simulator:
         self._rngs: list[np.random.Generator | None] = [None] * n_worlds  # each from its world's first reset on
         self._n_threads = min(n_threads or _cores(), max(n_worlds // WORLDS_PER_SLICE, 1))
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
-        warm = scenario.warmup if scenario.lambda2 == "power" else 0.0
+        warm = scenario.warmup if scenario.lambda2 in ("power", "flooding") else 0.0
         self._warm_ticks = max(round(warm / scenario.clock.tick), 2)  # two fill the observation
 
     # ------------------------------------------------------------------------------------------------ results

@@ -34,6 +34,7 @@ class Start(NamedTuple):
 def allocate(scenario: Scenario, n_worlds: int, n_pieces: int, n_vertices: int) -> tuple[types.World, types.State]:
     """Empty world and state for a batch of `n_worlds` with room for that many obstacle pieces and vertices."""
     b, n, m, k = n_worlds, scenario.n_agents, scenario.max_neighbors, scenario.max_ranges
+    flooded, entries = (n, n + 1) if scenario.lambda2 == "flooding" else (0, 0)  # rows of a table
     low, high = observation_bounds(scenario)
     world = types.World(
         piece=np.zeros((b, n_pieces), types.PIECE),
@@ -56,6 +57,9 @@ def allocate(scenario: Scenario, n_worlds: int, n_pieces: int, n_vertices: int) 
         inbox=np.zeros((b, n, n), types.INBOX),
         track=np.zeros((b, n, n), types.TRACK),
         belief=np.zeros((b, n), types.BELIEF),
+        table=np.zeros((b, n, flooded, entries)),
+        air=np.zeros((b, scenario.radio.delay, n, flooded, entries)),
+        mode=np.zeros((b, n, flooded)),
         episode=np.zeros(b, types.EPISODE),
         fiedler=np.zeros((b, n)),
         info=np.zeros((b, n), types.TALLY),

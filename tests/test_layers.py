@@ -146,7 +146,12 @@ def test_switches_are_numbered_as_the_kernels_count():
     numbers = {
         "dynamics": (step.KINEMATIC, step.QUADROTOR),
         "weight": (weights.UNION, weights.PRODUCT, weights.OMNI),
-        "lambda2": (lambda2_estimator.POWER, lambda2_estimator.TRUE, lambda2_estimator.NONE),
+        "lambda2": (
+            lambda2_estimator.POWER,
+            lambda2_estimator.FLOODING,
+            lambda2_estimator.TRUE,
+            lambda2_estimator.NONE,
+        ),
         "relative_yaw": (yaw_estimator.ESTIMATED, yaw_estimator.TRUE, yaw_estimator.NONE),
         "link": (BY_SIGHT, BY_RANGE),
         "leader": (pilot.WAYPOINTS, pilot.NOBODY),

@@ -11,7 +11,7 @@ import math
 from fovconn_env.kernel.jit import kernel
 from fovconn_env.kernel.weights import view_weight
 
-POWER, TRUE, NONE = range(3)  # scenarios.SWITCHES["lambda2"]
+POWER, FLOODING, TRUE, NONE = range(4)  # scenarios.SWITCHES["lambda2"]
 LIMIT = 1e4
 
 
@@ -90,7 +90,7 @@ def conclude(belief, n):
 
 @kernel
 def know(belief, lambda2, v2, n):
-    """Oracle: put the true lambda2 and v2 into robot i's belief, in the form its messages carry."""
+    """Put a lambda2 and an entry of v2 that come from elsewhere into robot i's belief, in the form its messages carry."""
     belief.x = v2 * math.sqrt(n)
     belief.y2, belief.y3 = 1.0, lambda2
     belief.lambda2_hat, belief.v2_hat = lambda2, v2

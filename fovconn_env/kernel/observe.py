@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from fovconn_env.kernel.jit import kernel
+from fovconn_env.kernel.lambda2_estimator import FLOODING
 
 
 @kernel
@@ -20,8 +21,11 @@ def observe_self(row, own, belief, is_leader, stick_x, stick_y, stick_z):
 
 
 @kernel
-def observe_neighbors(rows, tracks, heard, belief, contacts, p):
-    """Fill robot i's neighbour rows, (M,) NEIGHBOR, nearest first; returns how many neighbours found no row."""
+def observe_neighbors(rows, tracks, heard, belief, mode, contacts, p):
+    """Fill robot i's neighbour rows, (M,) NEIGHBOR, nearest first; returns how many neighbours found no row.
+
+    mode: its eigenvector (N,), where it has one.
+    """
     root = math.sqrt(tracks.shape[0] * max(belief.y2, 1e-6))
     present = 0
     for j in contacts:
@@ -42,6 +46,8 @@ def observe_neighbors(rows, tracks, heard, belief, contacts, p):
             continue
         last, last_distance = nearest, least
         _describe(rows[k], tracks[nearest], heard[nearest], root, p)
+        if p.lambda2 == FLOODING:
+            rows[k].v2_hat = mode[nearest]  # what the neighbour says is of an eigenvector with a sign of its own
     return max(present - rows.shape[0], 0)
 
 

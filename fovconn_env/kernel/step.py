@@ -6,8 +6,10 @@ slices and nothing else.
 
 from __future__ import annotations
 
+from fovconn_env import layout
 from fovconn_env.kernel import lambda2_estimator, random, yaw_estimator
 from fovconn_env.kernel.camera import feel, look, muster, see
+from fovconn_env.kernel.flooding import assemble, enter, merge, put, solve
 from fovconn_env.kernel.geometry import clearance
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.judge import connectivity, end, reward, tell, weigh
@@ -19,10 +21,10 @@ from fovconn_env.kernel.quadrotor import fly, hover
 from fovconn_env.kernel.radio import address, announce, receive, transmit
 from fovconn_env.kernel.rangefinder import scan
 from fovconn_env.kernel.yaw_estimator import attend, estimate_yaw, reckon
-from fovconn_env.layout import BYTES_PER_MESSAGE
 
 ADVANCE, BEGIN = range(2)
 KINEMATIC, QUADROTOR = range(2)  # scenarios.SWITCHES["dynamics"]
+bytes_per_table = kernel(layout.bytes_per_table)
 
 
 @entry
@@ -42,6 +44,7 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
         bodies, flights, pairs, infos = state.body[b], state.flight[b], state.pair[b], state.info[b]
         own, sights, inboxes = state.own[b], state.sight[b], state.inbox[b]
         tracks, beliefs, v2 = state.track[b], state.belief[b], state.fiedler[b]
+        tables, modes = state.table[b], state.mode[b]
         piece, vertex = world.piece[b], world.vertex[b]
         stick_x, stick_y, stick_z = episode.stick_x, episode.stick_y, episode.stick_z
         ticks = p.ticks if task == ADVANCE else warm_ticks
@@ -68,15 +71,22 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
             sense(bodies, pairs, own, sights, tracks, who, whom, first_of[n], episode, p)
             for k in range(p.rounds):
                 slot = episode.n_rounds % slots
-                post, mail = state.post[b, slot], state.mail[b, slot]
+                post, mail, air = state.post[b, slot], state.mail[b, slot], state.air[b, slot]
                 news = (episode.n_rounds - slots) % p.rounds == 0  # the first messages of a tick arrive
                 exchange(post, mail, inboxes, tracks, who, whom, first_of[n], news, p)
                 if slot == 0 and p.lambda2 == lambda2_estimator.POWER:
                     estimate_lambda2(beliefs, tracks, post, inboxes, whom, first_of, p)
+                n_bytes = layout.BYTES_PER_MESSAGE * (p.rounds if repeats else 1)
+                if p.lambda2 == lambda2_estimator.FLOODING:
+                    if news:
+                        gather(tables, air, mail, who, whom, first_of[n])
+                    if k == 0:
+                        flood(tables, air, tracks, episode.n_rounds // p.rounds + 1)
+                        n_bytes += bytes_per_table(n)
                 for i in range(n):
                     announce(post[i], own[i], beliefs[i])
                 if k == 0 or not repeats:
-                    write(mail, tracks, pairs, infos, who, whom, first_of[n], p.rounds if repeats else 1, episode, p)
+                    write(mail, tracks, pairs, infos, who, whom, first_of[n], n_bytes, episode, p)
                 episode.n_rounds += 1
             orient(tracks, sights, own, inboxes, who, whom, first_of[n], p)
             if p.relative_yaw != yaw_estimator.ESTIMATED:
@@ -90,9 +100,11 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
         if p.lambda2 == lambda2_estimator.POWER:
             for i in range(n):
                 conclude(beliefs[i], n)
+        elif p.lambda2 == lambda2_estimator.FLOODING:
+            solve_tables(beliefs, tables, modes, scratch, episode.n_rounds // p.rounds, p)
         arrived = steer(bodies[p.leader_index], world.waypoint[b], world.n_waypoints[b], episode, p)
         own_rows, neighbor_rows = state.own_row[b], state.neighbor_row[b]
-        inform(own, tracks, inboxes, beliefs, whom, first_of, own_rows, neighbor_rows, infos, episode, p)
+        inform(own, tracks, inboxes, beliefs, modes, whom, first_of, own_rows, neighbor_rows, infos, episode, p)
         measure(bodies, piece, vertex, state.range_row[b], episode, p)
         clip(state.flat[b], world.low, world.high)
         if task == ADVANCE:
@@ -177,10 +189,35 @@ def estimate_lambda2(beliefs, tracks, post, inboxes, whom, first, p):
 
 
 @kernel
-def write(mail, tracks, pairs, infos, who, whom, count, times, episode, p):
+def gather(tables, air, mail, who, whom, count):
+    """On board of every robot: what is new in the tables that arrive in this round."""
+    for k in range(count):
+        i, j = who[k], whom[k]
+        if mail[j, i].arrives:
+            merge(tables[i], air[j])
+
+
+@kernel
+def flood(tables, air, tracks, tick):
+    """Every robot enters its links in its table and sends a copy of it with its first messages of a tick."""
+    for i in range(tables.shape[0]):
+        enter(tables[i], tracks[i], i, tick)
+        put(air[i], tables[i])
+
+
+@kernel
+def solve_tables(beliefs, tables, modes, scratch, now, p):
+    """On board of every robot: lambda2 and v2 of the team as its table has it in tick `now`."""
+    for i in range(beliefs.shape[0]):
+        assemble(tables[i], scratch.laplacian, now, p)
+        solve(beliefs[i], modes[i], scratch.laplacian, scratch.spectrum, i)
+
+
+@kernel
+def write(mail, tracks, pairs, infos, who, whom, count, n_bytes, episode, p):
     """Every robot writes its notes into the slot just emptied; those that do not go on the air need no text.
 
-    times: in how many rounds they are sent.
+    n_bytes: of the messages from one robot to another until it writes again.
     """
     n = pairs.shape[0]
     for k in range(count):
@@ -188,7 +225,7 @@ def write(mail, tracks, pairs, infos, who, whom, count, times, episode, p):
         transmit(mail[i, j], pairs[i, j], i * n + j, episode.key, episode.n_rounds, p)
         if mail[i, j].sent:
             address(mail[i, j], tracks[i, j])
-            infos[i].bytes_sent += times * BYTES_PER_MESSAGE
+            infos[i].bytes_sent += n_bytes
 
 
 @kernel
@@ -222,12 +259,12 @@ def override_yaw(bodies, tracks, p):
 
 
 @kernel
-def inform(own, tracks, inboxes, beliefs, whom, first, own_rows, neighbor_rows, infos, episode, p):
+def inform(own, tracks, inboxes, beliefs, modes, whom, first, own_rows, neighbor_rows, infos, episode, p):
     """Write what every robot has on board into its observation."""
     for i in range(own.shape[0]):
         leads, known = i == p.leader_index and p.leader != NOBODY, whom[first[i] : first[i + 1]]
         observe_self(own_rows[i], own[i], beliefs[i], leads, episode.stick_x, episode.stick_y, episode.stick_z)
-        dropped = observe_neighbors(neighbor_rows[i], tracks[i], inboxes[i], beliefs[i], known, p)
+        dropped = observe_neighbors(neighbor_rows[i], tracks[i], inboxes[i], beliefs[i], modes[i], known, p)
         infos[i].neighbors_dropped = dropped
 
 

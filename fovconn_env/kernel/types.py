@@ -54,6 +54,7 @@ PARAMS = _record(
         ("yaw_product", "b1"),
         ("yaw_lag_free", "b1"),
         *_numbers("power_k1 power_k2 power_k3 power_g power_kp power_ki"),
+        *_numbers("flooding_memory"),
         *_numbers("position_noise position_bias velocity_noise velocity_bias gyro_noise gyro_bias"),
         *_numbers("attitude_noise attitude_bias range_noise range_bias"),
         *_numbers("lambda2_min lambda2_max patience collision_robot collision_obstacle"),
@@ -224,6 +225,10 @@ class State(NamedTuple):
     inbox: np.ndarray  # (B, N, N) INBOX: [receiver, sender]
     track: np.ndarray  # (B, N, N) TRACK
     belief: np.ndarray  # (B, N) BELIEF
+    # of lambda2 = "flooding"; elsewhere the sizes behind the robot's are 0
+    table: np.ndarray  # (B, N, N, N + 1) each robot's table, see flooding.py
+    air: np.ndarray  # (B, L, N, N, N + 1) tables on the air: [slot, sender]
+    mode: np.ndarray  # (B, N, N) each robot's eigenvector v2
     episode: np.ndarray  # (B,) EPISODE
     fiedler: np.ndarray  # (B, N) true v2, end of the step
     info: np.ndarray  # (B, N) TALLY
