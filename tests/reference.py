@@ -6,6 +6,7 @@ Robot i's yaw frame is R_i = Rz(yaw_i); "camera", "yaw", "power" and "gains" are
 
 from __future__ import annotations
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -339,6 +340,46 @@ class PowerIteration:
     @property
     def v2_hat(self):
         return self.x / np.sqrt(len(self.x) * self.size)
+
+
+class Flooding:
+    """Every robot's words of the whole team: told[i][k] = (tick, row of A) as robot k wrote it. Same face as above."""
+
+    def __init__(self, n):
+        self.told, self.air = [{} for _ in range(n)], None
+        self.x, self.y, self.size, self.vectors = np.zeros(n), np.zeros((3, n)), np.full(n, 1e-6), np.zeros((n, n))
+
+    def deliver(self, links):
+        """links (N, N) bool: over which the words on the air arrive."""
+        for i, j in zip(*np.nonzero(links), strict=True):
+            for k, said in self.air[j].items():
+                if k not in self.told[i] or said[0] > self.told[i][k][0]:
+                    self.told[i][k] = said
+        self.air = None
+
+    def write(self, A, tick):
+        for i, row in enumerate(A):
+            self.told[i][i] = tick, row.copy()
+        self.air = [dict(words) for words in self.told]
+
+    def solve(self, now, memory):
+        """memory: in ticks."""
+        self.size[:] = self.y[1] = 1.0
+        for i, words in enumerate(self.told):
+            A = np.zeros((len(self.x), len(self.x)))
+            for k, m in itertools.permutations([k for k, (tick, _) in words.items() if now - tick <= memory], 2):
+                newer, other = (k, m) if words[k][0] > words[m][0] else (m, k)
+                A[k, m] = words[newer][1][other]
+            self.y[2, i], self.vectors[i] = lambda2_v2(A, like=self.vectors[i])
+            self.x[i] = np.sqrt(len(self.x)) * self.vectors[i, i]
+
+    @property
+    def lambda2_hat(self):
+        return np.maximum(self.y[2], 0.0)
+
+    @property
+    def v2_hat(self):
+        return np.diag(self.vectors)
 
 
 # ------------------------------------------------------------------------------------------------ distance sensor

@@ -32,7 +32,9 @@ class Team:
         self.scenario, self.n = scenario, len(poses)
         self.p, self.yaw = poses[:, :3].copy(), poses[:, 3].copy()
         self.motion = np.zeros((self.n, 4))
-        self.power = ref.PowerIteration(x)
+        self.flooding = scenario.lambda2 == "flooding"
+        self.power = ref.Flooding(self.n) if self.flooding else ref.PowerIteration(x)
+        self.n_ticks = 0
         self.pairs = [(i, j) for i in range(self.n) for j in range(self.n) if i != j]
         self.yaws = {pair: ref.YawEstimator() for pair in self.pairs}
         self.post = None  # on the air
@@ -54,8 +56,11 @@ class Team:
         if commands is not None:
             self.move(commands)
         self.sense()
-        for _ in range(self.scenario.clock.rounds):
+        self.n_ticks += 1
+        for k in range(self.scenario.clock.rounds):
             self.deliver()
+            if self.flooding and k == 0:
+                self.power.write(self.weight, self.n_ticks)
             self.write()
         for pair in self.pairs:
             self.orient(*pair)
@@ -88,7 +93,10 @@ class Team:
             for i, j in zip(*np.nonzero(links), strict=True):
                 self.last[i, j] = self.post
         self.weight = A
-        self.power.round(A, links, scenario.power)
+        if not self.flooding:
+            self.power.round(A, links, scenario.power)
+        elif self.power.air is not None:
+            self.power.deliver(links)
 
     def write(self):
         links = np.zeros((self.n, self.n), bool)
@@ -121,6 +129,11 @@ class Team:
     def present(self, i, j):
         heard = self.heard(i, j)
         return (i, j) in self.sight or (heard.told and heard.seen)
+
+    def conclude(self):
+        """At the end of a step."""
+        if self.flooding:
+            self.power.solve(self.n_ticks, self.scenario.flooding.memory / self.scenario.clock.tick + 1e-6)
 
     # ---------------------------------------------------------------------------------------------- observation
     def observe(self, i, stick):
@@ -158,6 +171,7 @@ class Team:
         elif estimate.valid:
             bearing = -ref.Rz(estimate.psi_used) @ heard.p_ji / d  # case 2 of Sec. III-C
         x_j, y_j = (post.x[j], post.y[:, j]) if post is not None else (0.0, np.zeros(3))
+        v2_j = self.power.vectors[i, j] if self.flooding else x_j / np.sqrt(self.n * self.power.size[i])
         return {
             **{
                 "present": 1.0,
@@ -169,7 +183,7 @@ class Team:
             **{f"bearing_{a}": b for a, b in zip("xyz", bearing, strict=True)},
             **{"cos_yaw": np.cos(estimate.psi_used), "sin_yaw": np.sin(estimate.psi_used), "roll": 0.0, "pitch": 0.0},
             **{f"v{a}": v for a, v in zip("xyz", heard.v_j, strict=True)},
-            **{"yaw_rate": heard.w_j, "v2_hat": x_j / np.sqrt(self.n * self.power.size[i])},
+            **{"yaw_rate": heard.w_j, "v2_hat": v2_j},
             **{
                 "lambda2_hat": max(y_j[2] / max(y_j[1], 1e-6), 0.0),
                 "weight": self.weight[i, j],

@@ -27,6 +27,7 @@ ROUGH = {
     "dynamics": "quadrotor",
 }
 CASES = {**{name: (name, {}) for name in PRESETS}, "rough": ("LeaderObstacles-v0", ROUGH)}
+CASES["flooding"] = "LeaderFollow-v0", {"lambda2": "flooding", "radio": Radio(loss=0.1, delay=3)}
 
 
 def build(case, n_worlds=1, **more):

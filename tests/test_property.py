@@ -7,7 +7,7 @@ import inspect
 import numpy as np
 import pytest
 
-from fovconn_env.kernel import lambda2_estimator, observe, radio, step, yaw_estimator
+from fovconn_env.kernel import flooding, lambda2_estimator, observe, radio, step, yaw_estimator
 from fovconn_env.maps import Map
 from fovconn_env.settings import Airframe, Camera, Clock, Course, Noise, Radio
 from fovconn_env.simulator import Simulator
@@ -78,6 +78,7 @@ def test_true_graph(changes):
 # ------------------------------------------------------------------------------------------------ no names: labels
 PER_ROBOT = "body flight own belief fiedler info reward flat".split()
 PER_PAIR = "pair sight inbox track".split()
+FLOODING = {"lambda2": "flooding"}
 
 
 def relabel(simulator, order):
@@ -91,10 +92,15 @@ def relabel(simulator, order):
         array[:] = array[:, order][:, :, order].copy()
     state.post[:] = state.post[:, :, order].copy()
     state.mail[:] = state.mail[:, :, order][:, :, :, order].copy()
+    if simulator.scenario.lambda2 == "flooding":
+        entries = [*order, len(order)]  # and the tick
+        state.table[:] = state.table[:, order][:, :, order][..., entries].copy()
+        state.air[:] = state.air[:, :, order][:, :, :, order][..., entries].copy()
+        state.mode[:] = state.mode[:, order][:, :, order].copy()
     simulator.params["leader_index"] = order.index(int(simulator.params["leader_index"][0]))
 
 
-@pytest.mark.parametrize("lambda2", ["power", "true"])
+@pytest.mark.parametrize("lambda2", ["power", "flooding", "true"])
 @pytest.mark.parametrize("dynamics", ["kinematic", "quadrotor"])
 def test_relabelling_robots_permutes_what_they_get(dynamics, lambda2):
     order = [3, 0, 4, 1, 2]
@@ -276,7 +282,7 @@ def test_turning_and_shifting_the_world_changes_nothing(case, angle, shift):
 
 
 # ---------------------------------------------------------------------------------------------------- no telepathy
-ON_BOARD = {"own": 1, "sight": 1, "inbox": 1, "track": 1, "belief": 1, "flat": 1}
+ON_BOARD = "own sight inbox track belief table mode flat".split()
 
 
 def on_board(simulator, i):
@@ -303,6 +309,7 @@ def scramble(simulator, k, rng, away):
             array[field][0, k] = (
                 rng.uniform(0.1, 1, array.shape[2]) if kind.kind == "f" else rng.random(array.shape[2]) < 0.5
             )
+    state.table[0, k] = rng.uniform(0, 100, state.table[0, k].shape)
     body = state.body
     for axis, value in zip("xyz", away, strict=True):
         body[axis][0, k] = value
@@ -313,10 +320,10 @@ def scramble(simulator, k, rng, away):
         state.flight["rotor0"][0, k] *= 1.02
 
 
-@pytest.mark.parametrize("case", ["kinematic", "quadrotor, noise"])
+@pytest.mark.parametrize("case", ["kinematic", "quadrotor, noise", "flooding"])
 def test_a_robot_out_of_touch_changes_nothing(case):
     """Not in sight, not in range, not linked: within a tick of two rounds, nothing that i has changes by a bit."""
-    changes = {**FRAMES[case], "map": None}
+    changes = {**(FLOODING if case == "flooding" else FRAMES[case]), "map": None}
     simulator = Simulator(small(n_agents=6, clock=Clock(ticks=1, rounds=2), patience=1e3, **changes))
     rng, compared = np.random.default_rng(8), 0
     for seed in range(few(12, 1)):
@@ -338,7 +345,9 @@ def test_a_robot_out_of_touch_changes_nothing(case):
     assert compared > few(20, 1)
 
 
-@pytest.mark.parametrize("changes", [{}, {"radio": Radio(delay=3, loss=0.2), "camera": Camera(miss=0.3, coast=0.12)}])
+@pytest.mark.parametrize(
+    "changes", [{}, {"radio": Radio(delay=3, loss=0.2), "camera": Camera(miss=0.3, coast=0.12)}, FLOODING]
+)
 def test_pairs_that_sleep_have_nothing_to_do(changes):
     """Pairs without a link for long are left out of every tick; visiting them anyway changes no bit."""
     sleepy = Simulator(small(n_agents=6, patience=1e9, course=MOVING, **changes))
@@ -382,6 +391,11 @@ ONBOARD = [
     lambda2_estimator.agree,
     lambda2_estimator.power_round,
     lambda2_estimator.conclude,
+    flooding.enter,
+    flooding.put,
+    flooding.merge,
+    flooding.assemble,
+    flooding.solve,
     radio.announce,
     radio.address,
     observe.observe_self,
@@ -407,7 +421,7 @@ def test_on_board_kernels_get_one_robots_slices():
     """In step.py, each call of an on-board kernel hands over records indexed by the robot, never the arrays of all."""
     names = {plain(function).__name__ for function in ONBOARD}
     arrays = {"bodies", "pairs", "own", "sights", "tracks", "beliefs", "inboxes", "post", "mail"}
-    arrays |= {"own_rows", "neighbor_rows", "who", "whom"}
+    arrays |= {"own_rows", "neighbor_rows", "who", "whom", "tables", "air", "modes"}
     called = set()
     for node in ast.walk(ast.parse(inspect.getsource(step))):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in names:

@@ -18,6 +18,9 @@ TEAMS = {
     "paper": {},
     "product": {"weight": "product", "yaw": YawEstimator(product=True)},
     "one round a tick": {"clock": Clock(rounds=1)},
+    # long enough for all to have heard of all: where some count as gone, v2 is any vector of the null space
+    "flooding": {"lambda2": "flooding", "warmup": 0.1},
+    "flooding, one round a tick": {"lambda2": "flooding", "warmup": 0.1, "clock": Clock(rounds=1)},
     "lag-free": {"yaw": YawEstimator(lag_free=True), "clock": Clock(rounds=3, ticks=2)},
 }
 
@@ -32,6 +35,7 @@ def test_whole_team(case):
     team = Team(scenario, start, first_entries(key, 5))
     for _ in range(simulator._warm_ticks):
         team.tick()
+    team.conclude()
     compare(simulator, team)
     for action in recorded_actions(few(60, 8), 5):
         stick = np.array([simulator.state.episode[f"stick_{a}"][0] for a in "xyz"])
@@ -42,6 +46,7 @@ def test_whole_team(case):
             commands.append([*ref.saturate(v, scenario.speed_limit), a[3] * scenario.yaw_rate_limit])
         for _ in range(scenario.clock.ticks):
             team.tick(commands)
+        team.conclude()
         compare(simulator, team)
         if simulator.over[0]:
             break
