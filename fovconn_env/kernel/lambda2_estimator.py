@@ -90,7 +90,7 @@ def conclude(belief, n):
 
 @kernel
 def know(belief, lambda2, v2, n):
-    """Put a lambda2 and an entry of v2 that come from elsewhere into robot i's belief, in the form its messages carry."""
+    """Put a lambda2 and an entry of v2 from elsewhere into robot i's belief, in the form its messages carry."""
     belief.x = v2 * math.sqrt(n)
     belief.y2, belief.y3 = 1.0, lambda2
     belief.lambda2_hat, belief.v2_hat = lambda2, v2
