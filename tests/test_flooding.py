@@ -126,6 +126,19 @@ def test_a_lost_message_brings_nothing():
     assert (simulator.state.belief["lambda2_hat"] < 1e-12).all()
 
 
+def test_a_table_travels_with_the_first_message_of_a_tick_only():
+    """Where that one is lost, those that follow bring nothing."""
+    simulator = in_a_row(radio=Radio(loss=0.5, memory=10.0))
+    before, came = simulator.state.table[0, 0, 1, 5], []
+    for _ in range(few(60, 20)):
+        still(simulator)
+        tick, now = simulator.state.episode["n_rounds"][0] // 2, simulator.state.table[0, 0, 1, 5]
+        assert now in (before, tick)
+        came.append(now == tick)
+        before = now
+    assert 0.2 < np.mean(came) < 0.8
+
+
 # -------------------------------------------------------------------------------------------------------- splits
 def send_away(simulator, k):
     simulator.state.body["x"][0, k] += 100.0
