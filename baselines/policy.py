@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any
+from operator import attrgetter
+from typing import Any, ClassVar
 
 import numpy as np
 
+from fovconn_env import scenarios
 from fovconn_env.layout import Rows, rows
 from fovconn_env.scenarios import Scenario
 
@@ -17,14 +19,29 @@ Observation = Mapping[str, np.ndarray] | np.ndarray
 class Policy(ABC):
     """Maps observations of one scenario's robots to actions; every robot runs the same one, each for itself.
 
-    A subclass fills in `decide`. What it may use is the observation alone: a policy that sees the truth says so with
-    `oracle = True`.
+    A subclass fills in `decide`. What it may use is the observation alone. A law that relies on other equipment than
+    the scenario's, another estimator for example, names those settings in `overrides`; `equip` puts them in. One
+    whose robots know more than sensors and messages can tell says so with `oracle = True`.
     """
 
-    oracle = False
+    overrides: ClassVar[Mapping[str, Any]] = {}  # settings as `fovconn_env.scenario` takes them
+    oracle: ClassVar[bool] = False
 
     def __init__(self, scenario: Scenario) -> None:
+        """Raises `ValueError` where the scenario lacks the policy's equipment."""
+        for name, wanted in self.overrides.items():
+            if attrgetter(name)(scenario) != wanted:
+                hint = f"make the environment from {type(self).__name__}.equip(scenario)"
+                raise ValueError(
+                    f"Scenario.{name} must be {wanted!r} for {type(self).__name__}, got "
+                    f"{attrgetter(name)(scenario)!r}: {hint}"
+                )
         self.scenario = scenario
+
+    @classmethod
+    def equip(cls, base: str | Scenario) -> Scenario:
+        """A scenario, or that of an id, with this policy's `overrides`: what its team flies with."""
+        return scenarios.scenario(base, **cls.overrides)
 
     @abstractmethod
     def decide(self, flat: np.ndarray) -> np.ndarray:
