@@ -53,12 +53,19 @@ class Policy(ABC):
     def act(self, observation: Observation) -> np.ndarray:
         """Actions, float32 shares in [-1, 1], for one observation, (4,), or for a stack of them, (..., 4).
 
-        An observation is the environment's dict or its flat form; a stack has leading axes.
+        An observation is the environment's dict or its flat form; a stack has leading axes. Raises `ValueError` if
+        `decide` returns anything but one row of four a robot.
         """
         if isinstance(observation, Mapping):
             observation = np.concatenate([observation[key] for key in ("self", "neighbors", "ranges")], axis=-1)
         flat = np.ascontiguousarray(observation, np.float32)
-        actions = self.decide(flat.reshape(-1, flat.shape[-1]))
+        actions = np.asarray(self.decide(flat.reshape(-1, flat.shape[-1])))
+        wanted = flat.size // flat.shape[-1], 4
+        if actions.shape != wanted:
+            hint = "one row vx, vy, vz, yaw_rate a robot"
+            raise ValueError(
+                f"{type(self).__name__}.decide must return the shape {wanted}, got {actions.shape}: {hint}"
+            )
         return actions.reshape(*flat.shape[:-1], 4)
 
     def rows(self, flat: np.ndarray) -> Rows:
