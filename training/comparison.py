@@ -107,13 +107,11 @@ def _result(found: Evaluation, there: Mapping[str, Evaluation]) -> Result:
     """One policy's numbers; `there` has all policies on that scenario."""
     numbers, own = summary(found), found.episodes
     expert, random = there.get(EXPERT), there.get(RANDOM)
-    differences, better = [NOTHING] * 3, NOTHING
+    kept = success = progress = better = NOTHING
     if expert is not None and expert is not found:
-        differences = [
-            paired_share_difference(own["never_disconnected"], expert.episodes["never_disconnected"]),
-            paired_share_difference(own["success"], expert.episodes["success"]),
-            paired_mean_difference(own["progress"], expert.episodes["progress"]),
-        ]
+        kept = paired_share_difference(own["never_disconnected"], expert.episodes["never_disconnected"])
+        success = paired_share_difference(own["success"], expert.episodes["success"])
+        progress = paired_mean_difference(own["progress"], expert.episodes["progress"])
         better = improvement([own["return"]], [expert.episodes["return"]])
     scores = normalised(own["return"], expert, random)
     return Result(
@@ -122,7 +120,9 @@ def _result(found: Evaluation, there: Mapping[str, Evaluation]) -> Result:
         Estimate(numbers["never_disconnected"], *numbers["never_disconnected_interval"]),
         Estimate(numbers["success"], *numbers["success_interval"]),
         int(own["collision"].sum()),
-        *differences,
+        kept,
+        success,
+        progress,
         scores,
         NOTHING if scores is None else iqm([scores]),
         better,

@@ -53,10 +53,10 @@ def paired_share_difference(a: np.ndarray, b: np.ndarray) -> Estimate:
     One imaginary pair of each discordant kind keeps it from shrinking to a point where a and b agree everywhere.
     Bonett and Price, J. Educational and Behavioral Statistics 37(4), 2012.
     """
-    only_a, only_b, count = np.sum(a > b), np.sum(b > a), len(a)
+    only_a, only_b, count = int(np.sum(a > b)), int(np.sum(b > a)), len(a)
     p, q = (only_a + 1) / (count + 2), (only_b + 1) / (count + 2)
     reach = Z * math.sqrt((p + q - (p - q) ** 2) / (count + 2))
-    return Estimate(float(only_a - only_b) / count, max(float(p - q) - reach, -1.0), min(float(p - q) + reach, 1.0))
+    return Estimate((only_a - only_b) / count, max(p - q - reach, -1.0), min(p - q + reach, 1.0))
 
 
 def paired_mean_difference(a: np.ndarray, b: np.ndarray) -> Estimate:
