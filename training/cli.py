@@ -32,6 +32,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Robots that see only what is in front of them, kept together: fly them, measure them.",
 )
+OUT = Path("out")
 out = Console()
 err = Console(stderr=True)
 
@@ -41,6 +42,9 @@ Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="NAME=VALUE", help="Change a scenario setting, e.g. --set n_agents=4; repeatable."),
 ]
+Processes = Annotated[int | None, typer.Option(help="Processes; one a core by default.", min=1)]
+Fresh = Annotated[bool, typer.Option("--fresh", help="Fly all anew, also what the folder has.")]
+RecordFile = Annotated[Path | None, typer.Option("--record", help="Write the record for the documentation here, too.")]
 
 
 def main() -> None:
@@ -77,9 +81,10 @@ def evaluate_command(
         typer.Option("--suite", help=f"{' or '.join(SUITES)}: all policies (and those given) on all scenarios."),
     ] = None,
     seeds: Annotated[str | None, typer.Option(help="Seeds: 0-319, 7 or 0-31,100-131.  [default: 0-319]")] = None,
-    folder: Annotated[Path, typer.Option("--out", help="Folder for report, JSON and episodes.")] = Path("out/eval"),
-    processes: Annotated[int | None, typer.Option(help="Processes; one a core by default.", min=1)] = None,
-    fresh: Annotated[bool, typer.Option("--fresh", help="Fly all anew, also what the folder has.")] = False,
+    folder: Annotated[Path, typer.Option("--out", help="Folder for report, JSON and episodes.")] = OUT / "eval",
+    processes: Processes = None,
+    fresh: Fresh = False,
+    record_file: RecordFile = None,
     settings: Settings = None,
 ) -> None:
     """Fly policies on scenarios, all from the same seeds; print and write what they are worth beside each other.
@@ -94,27 +99,12 @@ def evaluate_command(
     cells = [Cell(policy, task) for task in scenarios for policy in chosen]
     for cell in cells:
         find_policy(cell.policy).equip(cell.scenario)
-    if folder.exists() and not folder.is_dir():
-        raise ValueError(f"--out must name a folder, got {str(folder)!r}: it is a file")
-    folder.mkdir(parents=True, exist_ok=True)
-    began, total = time.perf_counter(), len(cells) * len(numbers)
-    with _progress() as bar:
-        _warm_up(bar, scenarios[0], chosen[0])
-        task = bar.add_task(f"{len(chosen)} x {len(scenarios)}, {len(numbers)} seeds", total=total)
-        results = fly_cells(
-            cells,
-            numbers,
-            folder=folder / "episodes",
-            fresh=fresh,
-            processes=processes,
-            progress=lambda done: bar.update(task, completed=done),
-        )
-        bar.update(task, completed=total)
-        task = bar.add_task("report", total=None)
-        written = _publish(results, chosen, folder, time.perf_counter() - began)
-        bar.update(task, total=1, completed=1)
+    _check_folder(folder)
+    _check_writable({"--record": record_file})
+    results, seconds = _fly(cells, numbers, folder, processes, fresh)
     for result in results:
         out.print(_table(result))
+    written = _publish(results, chosen, folder, seconds)
     out.print("wrote " + ", ".join(str(file) for file in written), highlight=False, soft_wrap=True)
 
 
@@ -206,6 +196,68 @@ def bench(
     if picture is not None:
         plot(report, picture)
         out.print(f"wrote {picture}")
+
+
+@app.command()
+def figures(
+    ablations: Annotated[
+        bool, typer.Option("--ablations", help="What each part of the controller is worth, and where it breaks.")
+    ] = False,
+    seeds: Annotated[str, typer.Option(help="Seeds: 0-127, 7 or 0-31,100-131.")] = "0-127",
+    folder: Annotated[Path, typer.Option("--out", help="Folder for picture, table and episodes.")] = OUT / "figures",
+    processes: Processes = None,
+    fresh: Fresh = False,
+    record_file: RecordFile = None,
+) -> None:
+    """Draw figures of many flights; those of a single one come from `fovconn demo`."""
+    if not ablations:
+        raise ValueError("figures must be told which, got none: add --ablations")
+    from training import ablations as studies
+    from training.ablation_plot import draw as draw_ablations
+
+    numbers, cells = parse_seeds(seeds), studies.cells()
+    _check_folder(folder)
+    _check_writable({"--record": record_file})
+    results, seconds = _fly(cells, numbers, folder, processes, fresh)
+    found = studies.gather(results)
+    report = studies.record(found, numbers, seconds)
+    head, rows = studies.rows(found)
+    out.print(_grid(f"ablations on {studies.BASE}, {len(numbers)} seeds", head, rows))
+    written = [draw_ablations(found, folder / "ablations.png", f"{studies.BASE}, seeds {seeds}, 95 % intervals")]
+    written += [_write_json(folder / "ablations.json", report)]
+    written += [_write_json(record_file, report)] if record_file is not None else []
+    out.print("wrote " + ", ".join(str(file) for file in written), highlight=False, soft_wrap=True)
+
+
+def _fly(
+    cells: list[Cell], seeds: list[int], folder: Path, processes: int | None, fresh: bool
+) -> tuple[list[Evaluation], float]:
+    """Evaluations of the cells, and the seconds they took, with a progress bar."""
+    folder.mkdir(parents=True, exist_ok=True)
+    began, total = time.perf_counter(), len(cells) * len(seeds)
+    with _progress() as bar:
+        _warm_up(bar, cells[0].scenario, cells[0].policy)
+        task = bar.add_task(f"{total} episodes", total=total)
+        results = fly_cells(
+            cells,
+            seeds,
+            folder=folder / "episodes",
+            fresh=fresh,
+            processes=processes,
+            progress=lambda done: bar.update(task, completed=done),
+        )
+        bar.update(task, completed=total)
+    return results, time.perf_counter() - began
+
+
+def _check_folder(folder: Path) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"--out must name a folder, got {str(folder)!r}: it is a file")
+
+
+def _write_json(file: Path, report: dict[str, Any]) -> Path:
+    file.write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n", "utf-8")
+    return file
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+import numba
 import numpy as np
 
 import fovconn_env
@@ -44,14 +45,20 @@ def to_json(evaluations: Sequence[Evaluation], policies: Sequence[str], seconds:
             }
             for item in evaluations
         ],
-        "run": {
-            "seconds": round(seconds, 2),
-            "finished": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-            "machine": platform.machine(),
-            "cores": os.cpu_count(),
-        },
+        "run": run_block(seconds),
+    }
+
+
+def run_block(seconds: float) -> dict[str, Any]:
+    """When and where something was flown."""
+    return {
+        "seconds": round(seconds, 2),
+        "finished": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "numba": numba.__version__,
+        "machine": platform.machine(),
+        "cores": os.cpu_count(),
     }
 
 
