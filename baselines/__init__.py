@@ -1,19 +1,7 @@
 """Policies: the paper's controller, and those it is compared with. `load_policy(name, env)` makes one."""
 
-from __future__ import annotations
-
-from typing import Any
-
 from baselines.expert import Expert, Gains
-from baselines.policy import Policy, scenario_of
+from baselines.policy import Policy
+from baselines.registry import POLICIES, find_policy, load_policy
 
-POLICIES: dict[str, type[Policy]] = {"expert": Expert}
-
-__all__ = ["POLICIES", "Expert", "Gains", "Policy", "load_policy"]
-
-
-def load_policy(name: str, env: Any) -> Policy:
-    """The policy `name` for an environment, a `Simulator` or a `Scenario`; `ValueError` lists the names there are."""
-    if name not in POLICIES:
-        raise ValueError(f"policy must be one of {', '.join(POLICIES)}, got {name!r}")
-    return POLICIES[name](scenario_of(env))
+__all__ = ["POLICIES", "Expert", "Gains", "Policy", "find_policy", "load_policy"]

@@ -1,25 +1,39 @@
-"""What an episode was worth, beyond its return: measured against the truth, for a whole batch at once."""
+"""What an episode was worth, beyond its return: measured against the truth, world by world."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
 
 import numpy as np
 
-from fovconn_env.flight import true_yaw
-from fovconn_env.layout import BYTES_PER_MESSAGE, bytes_per_table
+from fovconn_env.kernel.jit import entry, kernel
+from fovconn_env.kernel.judge import OCCLUSION, OWN_VIEW, RANGE, lost_link
 from fovconn_env.simulator import Simulator
 
 WARM = 5.0  # s after the first motion from which the validity of yaw estimates counts
 MOVING = 0.05  # m/s, a robot that is faster moves
 
+ERRORS = ("lambda2", "yaw_mutual", "yaw_one_way")  # what the histograms count
+BINS_PER_DECADE, DECADES, LOWEST = 20, 8, 1e-6
+N_BINS = BINS_PER_DECADE * DECADES + 2  # the first: below LOWEST, the last: from 100 on
+SPLIT_CAUSE = ("none", "range", "field of view", "occlusion", "weak links")  # of the split: its strongest lost link
 
-class Samples(NamedTuple):
-    """Estimator errors of all robots and steps, pooled over episodes."""
-
-    lambda2: np.ndarray  # relative error of lambda2_hat, |hat - true| / true, while the team is connected
-    yaw_mutual: np.ndarray  # sin(error / 2) of valid estimates, both see each other
-    yaw_one_way: np.ndarray  # the same where only one of the two sees the other
+_CAUSES = ("range", "view", "occlusion")
+BY_OCCLUSION, WEAK = 3, 4  # SPLIT_CAUSE; the others are the judge's
+_METER = np.dtype(
+    (
+        np.record,
+        [
+            ("open", "i8"),  # the episode was not over before the step
+            *((f"lost_by_{cause}", "i8") for cause in _CAUSES),
+            *((name, "i8") for name in "steps connected mutual one_way saturated split_cause".split()),
+            *((name, "i8") for name in "mutual_time mutual_valid one_way_time one_way_valid".split()),
+            *((name, "f8") for name in "lambda2 speed bytes reward least_lambda2 least_separation".split()),
+            *((name, "f8") for name in "least_clearance first_loss moved_at alignment aligned hat".split()),
+            *((name, "f8") for name in "split_alignment split_hat square_mutual square_one_way".split()),
+        ],
+    )
+)
 
 
 class Meter:
@@ -28,108 +42,195 @@ class Meter:
     def __init__(self, simulator: Simulator) -> None:
         self.simulator = simulator
         b = simulator.n_worlds
-        self._open = np.ones(b, bool)  # episodes not over before the step
-        self._sums = {name: np.zeros(b) for name in _SUMS}
-        self._least = {name: np.full(b, np.inf) for name in ("lambda2", "separation", "clearance")}
-        self._first_loss = np.full(b, np.nan)
-        self._moved_at = np.full(b, np.inf)
-        self._links = simulator.adjacency() > 0
-        self._samples: tuple[list, list, list] = ([], [], [])
+        self._sums = np.zeros(b, _METER)
+        self._sums["open"] = 1
+        for name in ("least_lambda2", "least_separation", "least_clearance", "moved_at"):
+            self._sums[name] = math.inf
+        for name in ("first_loss", "split_alignment", "split_hat"):
+            self._sums[name] = math.nan
+        self._histograms = np.zeros((b, len(ERRORS), N_BINS), np.uint32)
+        self._before = simulator.adjacency()  # of the last step
 
     def update(self) -> None:
         """Take in the step just made."""
-        sim, live = self.simulator, self._open.copy()
-        scenario, state = sim.scenario, sim.state
-        body, pair, episode = state.body, state.pair, state.episode
-        now = episode["step"] * scenario.step_time
-        lambda2 = episode["lambda2"]
-        connected = lambda2 > scenario.lambda2_min
-        links = pair["weight"] > 0
-        seen = pair["seen"]
-        mutual, one_way = seen & seen.transpose(0, 2, 1), seen ^ seen.transpose(0, 2, 1)
-        speed = np.sqrt(body["vx"] ** 2 + body["vy"] ** 2 + body["vz"] ** 2)
-        self._moved_at = np.where((speed > MOVING).any(1) & live, np.minimum(self._moved_at, now), self._moved_at)
-        command = np.sqrt(sum(body[f"command_{name}"] ** 2 for name in ("vx", "vy", "vz")))
-        self._add(live, "steps", 1.0)
-        self._add(live, "connected", connected)
-        self._add(live, "lambda2", np.minimum(lambda2, scenario.lambda2_max))
-        self._add(live, "lost", (self._links & ~links).sum((1, 2)) / 2)
-        self._add(live, "mutual", mutual.sum((1, 2)) / 2)
-        self._add(live, "one_way", one_way.sum((1, 2)) / 2)
-        self._add(live, "speed", speed.mean(1))
-        self._add(live, "saturated", (command > 0.999 * scenario.speed_limit).mean(1))
-        self._add(live, "bytes", state.info["bytes_sent"].mean(1))
-        self._add(live, "reward", state.reward.mean(1))
-        settled = live & (now >= self._moved_at + WARM)
-        valid = state.track["valid"] & state.track["present"]
-        for name, kind in (("mutual", mutual), ("one_way", one_way)):
-            self._add(settled, f"{name}_time", kind.sum((1, 2)))
-            self._add(settled, f"{name}_valid", (kind & valid).sum((1, 2)))
-        for name, value in (
-            ("lambda2", lambda2),
-            ("separation", body["nearest"].min(1)),
-            ("clearance", body["clearance"].min(1)),
-        ):
-            np.minimum(self._least[name], value, out=self._least[name], where=live)
-        self._first_loss = np.where(live & ~connected & np.isnan(self._first_loss), now, self._first_loss)
-        self._links = links
-        self._sample(live, connected, mutual & valid, one_way & valid)
-        self._open &= ~sim.over
+        sim, s = self.simulator, self.simulator.state
+        facts = s.body, s.pair, s.track, s.belief, s.fiedler, s.info, s.episode, s.reward
+        _measure(*facts, self._sums, self._histograms, self._before, sim.params)
 
     def results(self) -> dict[str, np.ndarray]:
         """Measures of every episode, (B,) each; names and units in `docs/metrics.md`."""
-        sim, sums = self.simulator, self._sums
-        scenario, episode = sim.scenario, sim.state.episode
+        sums, scenario, episode = self._sums, self.simulator.scenario, self.simulator.state.episode
         n, steps = scenario.n_agents, np.maximum(sums["steps"], 1)
         duration, pairs = steps * scenario.step_time, n * (n - 1) / 2
-        flooded = bytes_per_table(n) if scenario.lambda2 == "flooding" else 0  # with one message of a tick's
-        per_message = BYTES_PER_MESSAGE + flooded / scenario.clock.rounds
+        mutual, one_way = (self._histograms[:, k].sum(-1) for k in (1, 2))
         return {
-            "never_disconnected": np.isnan(self._first_loss).astype(float),
+            "never_disconnected": np.isnan(sums["first_loss"]).astype(float),
             "success": episode["success"].astype(float),
             "collision": episode["collision"].astype(float),
             "connected_share": sums["connected"] / steps,
-            "min_lambda2": self._least["lambda2"],
+            "min_lambda2": sums["least_lambda2"],
             "mean_lambda2": sums["lambda2"] / steps,
-            "first_disconnection": self._first_loss,
-            "links_lost_per_minute": sums["lost"] / duration * 60,
+            "first_disconnection": sums["first_loss"],
+            "split_cause": sums["split_cause"].astype(float),
+            "split_lambda2_hat": sums["split_hat"],
+            "split_alignment": sums["split_alignment"],
+            "links_lost_per_minute": sum(sums[f"lost_by_{cause}"] for cause in _CAUSES) / duration * 60,
+            **{f"lost_by_{cause}": sums[f"lost_by_{cause}"].astype(float) for cause in _CAUSES},
             "mutual_share": sums["mutual"] / steps / pairs,
             "one_way_share": sums["one_way"] / steps / pairs,
-            "least_separation": self._least["separation"],
-            "least_clearance": np.minimum(self._least["clearance"], 1e3),
+            "least_separation": sums["least_separation"],
+            "least_clearance": np.minimum(sums["least_clearance"], 1e3),
             "progress": _ratio(episode["travelled"], episode["pushed"]),
             "duration": duration,
+            "time_to_goal": np.where(episode["success"], duration, np.nan),
             "mean_speed": sums["speed"] / steps,
-            "saturated_share": sums["saturated"] / steps,
+            "saturated_share": sums["saturated"] / steps / n,
+            "v2_alignment": _ratio(sums["alignment"], sums["connected"]),
+            "yaw_rms_mutual": np.sqrt(_ratio(sums["square_mutual"], mutual)),
+            "yaw_rms_one_way": np.sqrt(_ratio(sums["square_one_way"], one_way)),
             "yaw_valid_mutual": _ratio(sums["mutual_valid"], sums["mutual_time"]),
             "yaw_valid_one_way": _ratio(sums["one_way_valid"], sums["one_way_time"]),
-            "messages_per_second": sums["bytes"] / per_message / duration,
             "bytes_per_second": sums["bytes"] / duration,
             "return": sums["reward"],
         }
 
-    def samples(self) -> Samples:
-        """Estimator errors of all steps so far."""
-        return Samples(*(np.concatenate([np.zeros(0, np.float32), *kept]) for kept in self._samples))
-
-    def _add(self, live: np.ndarray, name: str, value: np.ndarray | float) -> None:
-        self._sums[name] += np.where(live, value, 0.0)
-
-    def _sample(self, live: np.ndarray, connected: np.ndarray, mutual: np.ndarray, one_way: np.ndarray) -> None:
-        state, true = self.simulator.state, self.simulator.state.episode["lambda2"][:, None]
-        good = live & connected
-        error = np.abs(state.belief["lambda2_hat"] - true) / np.maximum(true, 1e-12)
-        self._samples[0].append(error[good].astype(np.float32).ravel())
-        estimate = np.arctan2(state.track["sin_used"], state.track["cos_used"])
-        half = np.sin((estimate - true_yaw(state.body["yaw"])) / 2).astype(np.float32)
-        self._samples[1].append(half[mutual & live[:, None, None]])
-        self._samples[2].append(half[one_way & live[:, None, None]])
+    def histograms(self) -> np.ndarray:
+        """Counts of estimator errors, (B, len(ERRORS), N_BINS), over all robots and steps so far; see `bin_edges`."""
+        return self._histograms.copy()
 
 
-_SUMS = (
-    "steps connected lambda2 lost mutual one_way speed saturated bytes reward "
-    "mutual_time mutual_valid one_way_time one_way_valid"
-).split()
+def bin_edges() -> np.ndarray:
+    """Edges between the bins of a histogram, (N_BINS - 1,): 20 a decade from 1e-6 to 100."""
+    return LOWEST * 10.0 ** (np.arange(N_BINS - 1) / BINS_PER_DECADE)
+
+
+def quantile(counts: np.ndarray, share: float) -> float:
+    """The error below which a share of a histogram (N_BINS,) lies, interpolated in its bin.
+
+    0 if below LOWEST, NaN of an empty one.
+    """
+    total = np.cumsum(counts, dtype=np.float64)
+    if total[-1] == 0:
+        return math.nan
+    k = int(np.searchsorted(total, share * total[-1]))
+    if k == 0:
+        return 0.0
+    inside = (share * total[-1] - total[k - 1]) / counts[k]
+    return float(LOWEST * 10.0 ** ((k - 1 + min(inside, 1.0)) / BINS_PER_DECADE))
+
+
+@entry
+def _measure(body, pair, track, belief, fiedler, info, episode, reward, sums, histograms, before, params):
+    p, n = params[0], body.shape[1]
+    for b in range(body.shape[0]):
+        s = sums[b]
+        if s.open == 0:
+            continue
+        now, lambda2 = episode[b].step * p.step_time, episode[b].lambda2
+        _count_motion(body[b], reward[b], info[b], s, now, p)
+        cause = _count_links(pair[b], before[b], s, p)
+        s.steps += 1
+        s.lambda2 += min(lambda2, p.lambda2_max)
+        s.least_lambda2 = min(s.least_lambda2, lambda2)
+        connected = lambda2 > p.lambda2_min
+        if connected:
+            s.connected += 1
+            _align(belief[b], fiedler[b], s)
+            for i in range(n):
+                histograms[b, 0, _bin(abs(belief[b, i].lambda2_hat - lambda2) / lambda2)] += 1
+        elif math.isnan(s.first_loss):
+            s.first_loss, s.split_cause = now, cause
+            s.split_alignment, s.split_hat = s.aligned, s.hat  # of the last step before it
+        _count_yaws(body[b], pair[b], track[b], s, histograms[b], now >= s.moved_at + WARM)
+        s.open = 0 if episode[b].over else 1
+
+
+@kernel
+def _count_motion(bodies, rewards, infos, s, now, p):
+    n = bodies.shape[0]
+    for i in range(n):
+        a = bodies[i]
+        speed = math.sqrt(a.vx * a.vx + a.vy * a.vy + a.vz * a.vz)
+        command = math.sqrt(a.command_vx**2 + a.command_vy**2 + a.command_vz**2)
+        if speed > MOVING:
+            s.moved_at = min(s.moved_at, now)
+        s.speed += speed / n
+        s.saturated += command > 0.999 * p.speed_limit
+        s.bytes += infos[i].bytes_sent / n
+        s.reward += rewards[i] / n
+        s.least_separation = min(s.least_separation, a.nearest)
+        s.least_clearance = min(s.least_clearance, a.clearance)
+
+
+@kernel
+def _count_links(pairs, before, s, p):
+    """Count lost links and kinds of sight; returns why the strongest lost link was lost, see SPLIT_CAUSE."""
+    n, strongest, cause = pairs.shape[0], 0.0, WEAK
+    for i in range(n):
+        for j in range(i + 1, n):
+            ij, ji = pairs[i, j], pairs[j, i]
+            weight = before[i, j]
+            if weight > 0.0 and ij.weight == 0.0:
+                why = lost_link(ij, OWN_VIEW, p)
+                s.lost_by_range += why == RANGE
+                s.lost_by_view += why == OWN_VIEW
+                s.lost_by_occlusion += why == OCCLUSION
+                if weight > strongest:
+                    strongest, cause = weight, BY_OCCLUSION if why == OCCLUSION else why
+            before[i, j] = ij.weight
+            s.mutual += ij.seen and ji.seen
+            s.one_way += ij.seen != ji.seen
+    return cause
+
+
+@kernel
+def _align(beliefs, v2, s):
+    """Cosine between the robots' entries of v2 and the true one, and the mean of their lambda2_hat."""
+    n, along, square, hat = v2.shape[0], 0.0, 0.0, 0.0
+    for i in range(n):
+        along += beliefs[i].v2_hat * v2[i]
+        square += beliefs[i].v2_hat ** 2
+        hat += beliefs[i].lambda2_hat / n
+    s.aligned = abs(along) / math.sqrt(square) if square > 0.0 else 0.0
+    s.alignment += s.aligned
+    s.hat = hat
+
+
+@kernel
+def _count_yaws(bodies, pairs, tracks, s, histograms, settled):
+    """Errors and validity of relative yaws by sight class, of all ordered pairs."""
+    n = bodies.shape[0]
+    for i in range(n):
+        for j in range(n):
+            seen, watched = pairs[i, j].seen, pairs[j, i].seen
+            if i == j or not (seen or watched):
+                continue
+            track, mutual = tracks[i, j], seen and watched
+            valid = track.valid and track.present
+            if settled and mutual:
+                s.mutual_time += 1
+                s.mutual_valid += valid
+            elif settled:
+                s.one_way_time += 1
+                s.one_way_valid += valid
+            if not valid:
+                continue
+            estimate = math.atan2(track.sin_used, track.cos_used)
+            half = abs(math.sin(0.5 * (estimate - (bodies[j].yaw - bodies[i].yaw))))
+            if mutual:
+                s.square_mutual += half * half
+                histograms[1, _bin(half)] += 1
+            else:
+                s.square_one_way += half * half
+                histograms[2, _bin(half)] += 1
+
+
+@kernel
+def _bin(error):
+    """Index of the bin of an error, see `bin_edges`."""
+    if not error >= LOWEST:
+        return 0
+    return min(math.floor(math.log10(error / LOWEST) * BINS_PER_DECADE) + 1, N_BINS - 1)
 
 
 def _ratio(part: np.ndarray, whole: np.ndarray) -> np.ndarray:

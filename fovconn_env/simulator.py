@@ -8,6 +8,7 @@ import os
 import pickle
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from operator import attrgetter
 
 import numpy as np
 
@@ -32,19 +33,31 @@ class Simulator:
     Arrays are the simulator's own and are rewritten by the next call; copy what must stay.
     """
 
-    def __init__(self, scenario: Scenario, n_worlds: int = 1, *, n_threads: int | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        n_worlds: int = 1,
+        *,
+        n_threads: int | None = None,
+        starts: Scenario | None = None,
+    ) -> None:
+        """n_threads: one a core by default. starts: draw start, map and course by this scenario's rules instead."""
         if not isinstance(scenario, Scenario):
             hint = "fovconn_env.scenario(id) makes one"
             raise TypeError(f"Simulator's scenario must be a Scenario, got {scenario!r}: {hint}")
         check_count("n_worlds", n_worlds, "a batch holds worlds")
         if n_threads is not None:
             check_count("n_threads", n_threads, "leave it out for one a core")
+        rules = starts or scenario
+        for name in ("n_agents", "course.legs"):
+            here, there = attrgetter(name)(scenario), attrgetter(name)(rules)
+            rule(there == here, f"starts.{name}", f"the scenario's ({here})", there, "a start must fit the flight")
         self.scenario, self.n_worlds = scenario, n_worlds
         self.max_cycles = scenario.max_cycles
         self.params = scenario.params()
         self.world, self.state = allocate(scenario, n_worlds, 1, 1)
         self.state.episode["over"] = True  # until the first reset
-        self._scout = Scout(scenario)
+        self._scout = Scout(rules)
         self._rngs: list[np.random.Generator | None] = [None] * n_worlds  # each from its world's first reset on
         self._n_threads = min(n_threads or _cores(), max(n_worlds // WORLDS_PER_SLICE, 1))
         self._pool: tuple[int, ThreadPoolExecutor] | None = None

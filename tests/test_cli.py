@@ -15,8 +15,7 @@ import fovconn_env
 from baselines import load_policy
 from fovconn_env import Course, Simulator, scenario
 from fovconn_env.flight import Flight, fly
-from fovconn_env.layout import BYTES_PER_MESSAGE
-from fovconn_env.metrics import Meter
+from fovconn_env.metrics import Meter, bin_edges, quantile
 from tests import reference as ref
 from training import cli
 from training.evaluation import evaluate, summary
@@ -54,32 +53,35 @@ def strict_json(path):
 def test_eval_writes_json_that_a_second_run_repeats(fovconn, tmp_path):
     records = []
     for k in range(2):
-        words = ("--episodes", 3, "--seed", 5, *TINY, "--json", tmp_path / f"{k}.json")
-        shown = fovconn("eval", "--scenario", "fovconn/Regroup-v0", *words)
+        words = ("--policy", "expert", "--policy", "oracle", "--seeds", "5-7", *TINY, "--out", tmp_path / str(k))
+        shown = fovconn("eval", "--scenario", "fovconn/Regroup-v0", *words, "--processes", 1 + k)
         assert shown.status == 0
-        assert "never disconnected" in shown.out
-        assert "0.json" in shown.out or "1.json" in shown.out
+        assert f"{k}/results.json" in shown.out
         assert "100%" in shown.err  # the progress bar
-        records.append(strict_json(tmp_path / f"{k}.json"))
+        records.append(strict_json(tmp_path / str(k) / "results.json"))
     first, second = records
-    assert set(first.pop("run")) == set(second.pop("run")) == {"seconds", "finished", "python", "numpy", "machine"}
+    assert set(first.pop("run")) == set(second.pop("run"))
     assert first == second
-    assert set(first) >= {"policy", "scenario", "fovconn_env", "seeds", "summary", "episodes"}
-    assert (first["policy"], first["scenario"]) == ("expert", "Regroup-v0")
     assert first["fovconn_env"] == fovconn_env.__version__
     assert first["seeds"] == [5, 6, 7]
+    assert first["policies"]["oracle"]["oracle"] is True
+    assert first["policies"]["oracle"]["overrides"] == {"lambda2": "true", "relative_yaw": "true"}
+    assert set(first["scenarios"]) == {"Regroup-v0"}
     settings = scenario("Regroup-v0", n_agents=3, max_cycles=40, warmup=0.5)
-    result = evaluate("expert", settings, [5, 6, 7])
-    assert set(first["episodes"]) == set(result.episodes)
-    for name, values in first["episodes"].items():
-        clean = [None if not math.isfinite(value) else value for value in result.episodes[name].tolist()]
-        assert values == clean
-    assert set(first["summary"]) == set(summary(result))
-    assert first["summary"]["episodes"] == 3
-    assert first["summary"]["duration"] == pytest.approx(2.0)
-    for name in ("never_disconnected", "success", "collision"):
-        low, high = first["summary"][f"{name}_interval"]
-        assert 0 <= low <= first["summary"][name] <= high <= 1
+    for record, policy in zip(first["evaluations"], ("expert", "oracle"), strict=True):
+        result = evaluate(policy, settings, [5, 6, 7])
+        assert (record["policy"], record["scenario"]) == (policy, "Regroup-v0")
+        assert set(record["episodes"]) == set(result.episodes)
+        for name, values in record["episodes"].items():
+            clean = [None if not math.isfinite(value) else value for value in result.episodes[name].tolist()]
+            assert values == clean
+        assert set(record["summary"]) == set(summary(result))
+        assert record["summary"]["episodes"] == 3
+        assert record["summary"]["duration"] == pytest.approx(2.0)
+        assert record["histograms"]["lambda2"] == result.histograms[:, 0].sum(0).tolist()
+        for name in ("never_disconnected", "success", "collision"):
+            low, high = record["summary"][f"{name}_interval"]
+            assert 0 <= low <= record["summary"][name] <= high <= 1
 
 
 def test_intervals_are_wilsons():
@@ -101,19 +103,20 @@ def test_intervals_are_wilsons():
 )
 def test_set_changes_settings(fovconn, tmp_path, words):
     pairs = [word for setting in words for word in ("--set", setting)]
-    shown = fovconn("eval", "--episodes", 1, *TINY, *pairs, "--json", tmp_path / "a.json")
+    shown = fovconn("eval", "--seeds", 0, *TINY, *pairs, "--out", tmp_path)
     assert shown.status == 0
     steps = 20 if "max_cycles=20" in words else 40
-    assert strict_json(tmp_path / "a.json")["summary"]["duration"] == pytest.approx(steps * 0.05)
+    record = strict_json(tmp_path / "results.json")["evaluations"][0]
+    assert record["summary"]["duration"] == pytest.approx(steps * 0.05)
 
 
 def test_the_record_tells_what_was_flown(fovconn, tmp_path):
     """Two evaluations with other settings are told apart without their results."""
     told = []
     for setting in ("stick_speed=0.5", "stick_speed=1.5"):
-        fovconn("eval", "--episodes", 1, *TINY, "--set", setting, "--json", tmp_path / "a.json")
-        record = strict_json(tmp_path / "a.json")
-        told.append({key: record[key] for key in record if key not in ("summary", "episodes", "run")})
+        fovconn("eval", "--seeds", 0, *TINY, "--set", setting, "--out", tmp_path)
+        record = strict_json(tmp_path / "results.json")
+        told.append({key: record[key] for key in record if key not in ("evaluations", "run")})
     assert told[0] != told[1]
 
 
@@ -122,18 +125,23 @@ def test_set_changes_single_settings_of_groups(fovconn, tmp_path, order):
     """Together, so that what is valid in the end may be told in any order."""
     settings = ["camera.d_min=3.5", "camera.D1=5.0", "course.settle=0.0"][::order]
     pairs = [word for setting in settings for word in ("--set", setting)]
-    shown = fovconn("eval", "--episodes", 1, *TINY, *pairs, "--json", tmp_path / "a.json")
+    shown = fovconn("eval", "--seeds", 0, *TINY, *pairs, "--out", tmp_path)
     assert shown.err.count("fovconn:") == 0, shown.err
     assert shown.status == 0
     plain = scenario("LeaderFollow-v0")
     camera, course = dataclasses.replace(plain.camera, d_min=3.5, D1=5.0), dataclasses.replace(plain.course, settle=0.0)
     expected = scenario(plain, n_agents=3, max_cycles=40, warmup=0.5, camera=camera, course=course)
-    found = strict_json(tmp_path / "a.json")["episodes"]["mean_lambda2"]
+    found = strict_json(tmp_path / "results.json")["evaluations"][0]["episodes"]["mean_lambda2"]
     assert found == evaluate("expert", expected, [0]).episodes["mean_lambda2"].tolist()
 
 
 BAD = {
-    "policy": (("eval", "--policy", "nobody"), "policy must be one of expert, got 'nobody'"),
+    "policy": (("eval", "--policy", "exprt"), "or file.py:Class, got 'exprt': did you mean 'expert'?"),
+    "no file": (
+        ("eval", "--policy", "mine.py:Mine"),
+        "policy 'mine.py:Mine' must name a file that exists, got 'mine.py'",
+    ),
+    "suite": (("eval", "--suite", "fast"), "suite must be one of quick, full, got 'fast'"),
     "scenario": (("eval", "--scenario", "LeaderFolow-v0"), "did you mean 'LeaderFollow-v0'"),
     "unknown setting": (("eval", "--set", "n_agnets=3"), "did you mean 'n_agents'"),
     "no value": (("eval", "--set", "n_agents"), "--set must be NAME=VALUE, got 'n_agents'"),
@@ -151,16 +159,12 @@ BAD = {
     "whole group": (("eval", "--set", "camera=wide", "--set", "camera.a_min=0.3"), "Scenario.camera must be a Camera"),
     "start": (("eval", "--set", "start=here"), "Scenario.start must be a Start, got 'here'"),
     "infinite": (("eval", "--set", "warmup=1e999"), "Scenario.warmup must be"),
-    "folder": (
-        ("eval", "--json", "nowhere/a.json"),
-        "--json must name a file in an existing folder, got 'nowhere/a.json'",
-    ),
-    "is a folder": (("eval", "--json", "."), "--json must name a file in an existing folder, got '.'"),
-    "episodes": (("eval", "--episodes", "0"), "'--episodes'"),
-    "seed": (("eval", "--seed", "-1"), "'--seed'"),
+    "folder": (("eval", "--out", "/dev/null"), "--out must name a folder, got '/dev/null': it is a file"),
+    "seeds": (("eval", "--seeds", "9-3"), "seeds must be like 0-319, 7 or 0-31,100-131, got '9-3'"),
+    "processes": (("eval", "--processes", "0"), "'--processes'"),
     "option": (("eval", "--epsiodes", "3"), "--epsiodes"),
     "command": (("evla",), "evla"),
-    "demo policy": (("demo", "--policy", "nobody"), "policy must be one of expert, got 'nobody'"),
+    "demo policy": (("demo", "--policy", "nobody"), "got 'nobody': your own is file.py:Class"),
     "demo setting": (("demo", "--set", "n_agents=0"), "Scenario.n_agents must be at least 2, got 0"),
     "bench peer": (("bench", "--against", "pong"), "--against must name some of vmas, mpe2, "),
     "bench peers": (("bench", "vmas"), "'vmas' is unexpected: peers come after --against"),
@@ -186,11 +190,12 @@ def test_bad_input_ends_with_one_clear_line(fovconn, case):
 def test_in_a_process_of_its_own():
     """No traceback either, and the status arrives at the shell."""
     variables = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200"}
-    words = [sys.executable, "-m", "training.cli", "eval", "--policy", "nobody"]
+    words = [sys.executable, "-m", "training.cli", "eval", "--scenario", "Nowhere-v0"]
     task = subprocess.run(words, cwd=ROOT, env=variables, capture_output=True, text=True, timeout=120, check=False)
     assert task.returncode == 2
     assert task.stdout == ""
-    assert task.stderr == "fovconn: policy must be one of expert, got 'nobody'\n"
+    assert task.stderr.startswith("fovconn: scenario must be one of LeaderFollow-v0, ")
+    assert task.stderr.count("\n") == 1
 
 
 # ---------------------------------------------------------------------------------------------------------------- demo
@@ -207,6 +212,18 @@ def test_demo_without_the_animation(fovconn):
 
 
 # ------------------------------------------------------------------------------------------ Meter, against a recording
+def why_lost(flight: Flight, k: int, i: int, j: int) -> str:
+    """Range first, then occlusion, if a camera points at the other all the same."""
+    at, axis = flight.poses[k], np.array(flight.scenario.camera.unit_axis)
+    along = at[j, :3] - at[i, :3]
+    distance = np.linalg.norm(along)
+    if not flight.scenario.camera.d_min < distance < flight.scenario.camera.d_max:
+        return "range"
+    turned = [ref.Rz(yaw) @ axis for yaw in at[[i, j], 3]]
+    cosines = turned[0] @ along / distance, -turned[1] @ along / distance
+    return "occlusion" if max(cosines) > flight.scenario.camera.a_min else "view"
+
+
 def recomputed(flight: Flight) -> dict[str, float]:
     """`Meter.results` from a flight, one definition of docs/metrics.md after another."""
     s, dt, n = flight.scenario, flight.scenario.step_time, flight.scenario.n_agents
@@ -217,11 +234,16 @@ def recomputed(flight: Flight) -> dict[str, float]:
     position = flight.poses[..., :3]
     speed = [[np.linalg.norm(position[k, i] - position[k - 1, i]) / dt for i in range(n)] for k in steps]
     moved = next((k for k in steps if max(speed[k - 1]) > 0.05), math.inf)
-    lost = mutual = one_way = 0
+    mutual = one_way = 0
+    lost, causes = {"range": 0, "view": 0, "occlusion": 0}, {0: "none"}
     gaps, valid, counted = [], {True: 0, False: 0}, {True: 0, False: 0}
     for k in steps:
         for i, j in pairs:
-            lost += flight.weights[k - 1, i, j] > 0 and not flight.weights[k, i, j] > 0
+            if flight.weights[k - 1, i, j] > 0 and not flight.weights[k, i, j] > 0:
+                cause = why_lost(flight, k, i, j)
+                lost[cause] += 1
+                if [k] == split[:1]:
+                    causes[flight.weights[k - 1, i, j]] = cause
             both, one = sees[k, i, j] and sees[k, j, i], sees[k, i, j] != sees[k, j, i]
             mutual, one_way = mutual + both, one_way + one
             gaps.append(np.linalg.norm(position[k, i] - position[k, j]))
@@ -241,7 +263,11 @@ def recomputed(flight: Flight) -> dict[str, float]:
         "min_lambda2": min(flight.lambda2[1:]),
         "mean_lambda2": sum(min(flight.lambda2[k], s.lambda2_max) for k in steps) / count,
         "first_disconnection": split[0] * dt if split else math.nan,
-        "links_lost_per_minute": lost / duration * 60,
+        "links_lost_per_minute": sum(lost.values()) / duration * 60,
+        **{f"lost_by_{cause}": number for cause, number in lost.items()},
+        "split_cause": {"none": 4, "range": 1, "view": 2, "occlusion": 3}[causes[max(causes)]] if split else 0,
+        "split_lambda2_hat": np.mean(flight.lambda2_hat[split[0] - 1]) if split else math.nan,
+        "time_to_goal": duration if flight.outcome == "success" else math.nan,
         "mutual_share": mutual / count / len(pairs),
         "one_way_share": one_way / count / len(pairs),
         "least_separation": min(gaps),
@@ -288,18 +314,31 @@ def test_meter_against_a_recording(case):
         assert found[name] == pytest.approx(value, rel=ROUGH.get(name, 1e-9), abs=1e-9, nan_ok=True), name
     assert found["return"] == pytest.approx(returns.mean())
     assert found["bytes_per_second"] == pytest.approx(sent.mean() / expected["duration"])
-    assert found["messages_per_second"] == pytest.approx(found["bytes_per_second"] / BYTES_PER_MESSAGE)
 
-    samples, good = meter.samples(), flight.lambda2[1:] > settings.lambda2_min
     errors = np.abs(flight.lambda2_hat - flight.lambda2[:, None])[1:] / flight.lambda2[1:, None]
-    np.testing.assert_allclose(samples.lambda2, errors[good].ravel(), rtol=1e-5)
-    half = np.sin(ref.wrap(flight.yaw_hat - flight.yaw) / 2)
-    sees = flight.watch > 0
-    for kind, kept in (
-        (sees & sees.transpose(0, 2, 1), samples.yaw_mutual),
-        (sees ^ sees.transpose(0, 2, 1), samples.yaw_one_way),
-    ):
-        np.testing.assert_allclose(np.abs(kept), np.abs(half[1:][(kind & flight.yaw_valid)[1:]]), rtol=1e-4, atol=1e-6)
+    half = np.abs(np.sin(ref.wrap(flight.yaw_hat - flight.yaw) / 2))[1:]
+    sees, valid = flight.watch[1:] > 0, flight.yaw_valid[1:]
+    both, one = sees & sees.transpose(0, 2, 1), sees ^ sees.transpose(0, 2, 1)
+    kinds = errors[flight.lambda2[1:] > settings.lambda2_min].ravel(), half[both & valid], half[one & valid]
+    edges = np.array([-np.inf, *bin_edges(), np.inf])
+    for samples, counts in zip(kinds, meter.histograms()[0], strict=True):
+        clear = np.abs(np.subtract.outer(samples, edges[1:-1])).min(1, initial=1) > 1e-9 * samples  # of every edge
+        expected_counts, _ = np.histogram(samples, edges)
+        assert counts.sum() == len(samples)
+        assert np.abs(counts.astype(int) - expected_counts).sum() <= 2 * (~clear).sum()
+    for name, samples in (("mutual", kinds[1]), ("one_way", kinds[2])):
+        rms = math.sqrt(np.mean(samples**2)) if len(samples) else math.nan
+        assert found[f"yaw_rms_{name}"] == pytest.approx(rms, rel=1e-6, abs=1e-9, nan_ok=True)
+
+
+def test_quantiles_of_histograms():
+    """Twenty bins a decade are 12 % wide, and a quantile is interpolated in its bin."""
+    errors = np.random.default_rng(0).lognormal(-4, 1.5, 20000)
+    counts, _ = np.histogram(errors, [-np.inf, *bin_edges(), np.inf])
+    for share in (0.05, 0.5, 0.95):
+        assert quantile(counts, share) == pytest.approx(np.quantile(errors, share), rel=0.02)
+    assert quantile(np.bincount([0], minlength=len(counts)), 0.95) == 0.0
+    assert math.isnan(quantile(np.zeros(len(counts)), 0.5))
 
 
 def test_meter_of_a_batch_is_the_meter_of_each_episode():
@@ -308,10 +347,9 @@ def test_meter_of_a_batch_is_the_meter_of_each_episode():
     together = evaluate("expert", settings, range(12))
     alone = [evaluate("expert", settings, [seed]) for seed in range(12)]
     for name, values in together.episodes.items():
-        np.testing.assert_allclose(values, [one.episodes[name][0] for one in alone], rtol=1e-12, err_msg=name)
+        np.testing.assert_array_equal(values, [one.episodes[name][0] for one in alone], err_msg=name)
     assert len(set(together.episodes["duration"])) > 1
-    for pooled, kind in zip(together.samples, zip(*(one.samples for one in alone), strict=True), strict=True):
-        np.testing.assert_array_equal(np.sort(pooled), np.sort(np.concatenate(kind)))
+    np.testing.assert_array_equal(together.histograms, np.concatenate([one.histograms for one in alone]))
 
 
 def test_evaluation_is_cut_into_batches_without_a_trace(monkeypatch):

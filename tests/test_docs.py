@@ -14,7 +14,7 @@ import pytest
 from baselines import POLICIES, Gains
 from fovconn_env import PRESETS, Scenario, Simulator, layout, scenario
 from fovconn_env.kernel import types
-from fovconn_env.metrics import Meter, Samples
+from fovconn_env.metrics import ERRORS, Meter
 
 ROOT = Path(__file__).parents[1]
 PAGES = {str(page.relative_to(ROOT)): page for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))}
@@ -62,7 +62,9 @@ def test_examples_run(page, tmp_path, monkeypatch):
     """All Python blocks of a page in order, in one namespace; presets are cut to 20 steps."""
     for name, preset in PRESETS.items():
         monkeypatch.setitem(PRESETS, name, dataclasses.replace(preset, max_cycles=20, warmup=1.0))
-    monkeypatch.setattr("baselines.POLICIES", dict(POLICIES))
+    policies = dict(POLICIES)
+    for module in ("baselines", "baselines.registry"):  # an example may add to them
+        monkeypatch.setattr(f"{module}.POLICIES", policies)
     monkeypatch.chdir(tmp_path)
     namespace = {"__name__": "example"}
     text = PAGES[page].read_text("utf-8")
@@ -81,12 +83,19 @@ def test_readme_has_the_examples_it_promises():
 @pytest.mark.parametrize("arguments", commands("fovconn"), ids=" ".join)
 def test_commands_parse(arguments):
     typer_main = pytest.importorskip("typer.main")
+    from training.campaign import parse_seeds, suite
     from training.cli import _parse, app
 
     command = typer_main.get_command(app).commands[arguments[0]]
     values = command.make_context(arguments[0], arguments[1:]).params
-    assert values.get("policy", "expert") in POLICIES
-    scenario(values["scenario_name"], **_parse(list(values.get("settings") or [])))
+    policies = values.get("policies") or [values.get("policy") or "expert"]
+    assert all(policy in POLICIES or re.fullmatch(r"my_policy\.py(:\w+)?", policy) for policy in policies)
+    for name in values.get("scenario_names") or [values.get("scenario_name") or "LeaderFollow-v0"]:
+        scenario(name, **_parse(list(values.get("settings") or [])))
+    if values.get("suite_name"):
+        suite(values["suite_name"])
+    if values.get("seeds"):
+        parse_seeds(values["seeds"])
 
 
 def test_make_targets_and_extras_exist():
@@ -212,7 +221,7 @@ def test_every_measure_is_defined():
     parts = re.split(r"^## ", text, flags=re.MULTILINE)
     sections = {part.partition("\n")[0]: named(part) for part in parts}
     assert sections["Of an episode"] == set(meter.results())
-    assert sections["Pooled errors"] == set(Samples._fields)
+    assert sections["Pooled errors"] == set(ERRORS)
     assert sections["Of an evaluation"] == set(summary(evaluate("expert", chosen, [0])))
 
 

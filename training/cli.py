@@ -5,7 +5,8 @@ from __future__ import annotations
 import ast
 import json
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,11 +18,13 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.table import Table
 
 import fovconn_env
-from baselines import POLICIES, load_policy
+from baselines import POLICIES, find_policy
 from fovconn_env import PRESETS, Scenario, scenario
 from training.bench import GROUPS, INSTALLED, agenda, run
 from training.bench_cases import FULL, PEERS, QUICK
-from training.evaluation import Evaluation, evaluate, summary, to_json
+from training.campaign import DEV_SEEDS, SUITES, Cell, Interrupted, fly_cells, parse_seeds, suite
+from training.evaluation import Evaluation, summary
+from training.record import to_json
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -29,15 +32,19 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Robots that see only what is in front of them, kept together: fly them, measure them.",
 )
+OUT = Path("out")
 out = Console()
 err = Console(stderr=True)
 
 ScenarioName = Annotated[str, typer.Option("--scenario", help="Scenario id: " + ", ".join(PRESETS))]
-PolicyName = Annotated[str, typer.Option("--policy", help="Policy: " + ", ".join(POLICIES))]
+PolicyName = Annotated[str, typer.Option("--policy", help=f"Policy: {', '.join(POLICIES)}; or file.py:Class")]
 Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="NAME=VALUE", help="Change a scenario setting, e.g. --set n_agents=4; repeatable."),
 ]
+Processes = Annotated[int | None, typer.Option(help="Processes; one a core by default.", min=1)]
+Fresh = Annotated[bool, typer.Option("--fresh", help="Fly all anew, also what the folder has.")]
+RecordFile = Annotated[Path | None, typer.Option("--record", help="Write the record for the documentation here, too.")]
 
 
 def main() -> None:
@@ -47,6 +54,9 @@ def main() -> None:
     except (ValueError, TypeError, OSError) as problem:
         err.print(f"fovconn: {problem}", style="bold red", highlight=False, soft_wrap=True, markup=False)
         sys.exit(2)
+    except Interrupted as kept:
+        err.print(f"fovconn: {kept}", style="bold yellow", highlight=False, soft_wrap=True, markup=False)
+        sys.exit(130)
 
 
 @app.callback(invoke_without_command=True)
@@ -59,31 +69,50 @@ def common(version: Annotated[bool, typer.Option("--version", help="Print the ve
 
 @app.command("eval")
 def evaluate_command(
-    policy: PolicyName = "expert",
-    scenario_name: ScenarioName = "LeaderFollow-v0",
-    episodes: Annotated[int, typer.Option(help="How many episodes, one seed each.", min=1)] = 100,
-    first_seed: Annotated[int, typer.Option("--seed", help="The first seed; the others count up.", min=0)] = 0,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write everything, each episode too, here.")] = None,
+    policies: Annotated[
+        list[str] | None,
+        typer.Option("--policy", help=f"Policy: {', '.join(POLICIES)}; or your own, file.py:Class. Repeatable."),
+    ] = None,
+    scenario_names: Annotated[
+        list[str] | None, typer.Option("--scenario", help=f"Scenario id: {', '.join(PRESETS)}. Repeatable.")
+    ] = None,
+    suite_name: Annotated[
+        str | None,
+        typer.Option("--suite", help=f"{' or '.join(SUITES)}: all policies (and those given) on all scenarios."),
+    ] = None,
+    seeds: Annotated[str | None, typer.Option(help="Seeds: 0-319, 7 or 0-31,100-131.  [default: 0-319]")] = None,
+    folder: Annotated[Path, typer.Option("--out", help="Folder for report, JSON and episodes.")] = OUT / "eval",
+    processes: Processes = None,
+    fresh: Fresh = False,
+    record_file: RecordFile = None,
     settings: Settings = None,
 ) -> None:
-    """Fly a policy over many seeds and print what it was worth."""
-    chosen = scenario(scenario_name, **_parse(settings))
-    load_policy(policy, chosen)
-    _check_writable({"--json": json_file})
-    with _progress() as bar:
-        _warm_up(bar, chosen, policy)
-        task = bar.add_task(f"{policy} on {chosen.name}", total=episodes)
-        result = evaluate(
-            policy,
-            chosen,
-            range(first_seed, first_seed + episodes),
-            progress=lambda done: bar.update(task, completed=done),
-        )
-        bar.update(task, completed=episodes)
-    out.print(_table(result))
-    if json_file is not None:
-        json_file.write_text(json.dumps(to_json(result), indent=1) + "\n")
-        out.print(f"wrote {json_file}")
+    """Fly policies on scenarios, all from the same seeds; print and write what they are worth beside each other.
+
+    Finished episodes stay in the folder: after an interruption the same command goes on.
+    """
+    chosen, names, numbers = suite(suite_name) if suite_name else (["expert"], ["LeaderFollow-v0"], list(DEV_SEEDS))
+    chosen = list(dict.fromkeys([*chosen, *(policies or ())] if suite_name else policies or chosen))
+    numbers = parse_seeds(seeds) if seeds is not None else numbers
+    changes = _parse(settings)
+    scenarios = [scenario(name, **changes) for name in dict.fromkeys(scenario_names or names)]
+    cells = [Cell(policy, task) for task in scenarios for policy in chosen]
+    for cell in cells:
+        find_policy(cell.policy).equip(cell.scenario)
+    _check_folder(folder)
+    _check_writable({"--record": record_file})
+    results, seconds = _fly(cells, numbers, folder, processes, fresh)
+    for result in results:
+        out.print(_table(result))
+    written = _publish(results, chosen, folder, seconds)
+    out.print("wrote " + ", ".join(str(file) for file in written), highlight=False, soft_wrap=True)
+
+
+def _publish(results: Sequence[Evaluation], policies: Sequence[str], folder: Path, seconds: float) -> list[Path]:
+    """Write what was found into the folder; returns the files."""
+    record = folder / "results.json"
+    record.write_text(json.dumps(to_json(results, policies, seconds), indent=1) + "\n", "utf-8")
+    return [record]
 
 
 @app.command()
@@ -99,7 +128,7 @@ def demo(
     from training.demo import draw, fly_once
 
     chosen = scenario(scenario_name, **_parse(settings))
-    load_policy(policy, chosen)
+    find_policy(policy)
     folder.mkdir(parents=True, exist_ok=True)
     with _progress() as bar:
         _warm_up(bar, chosen, policy)
@@ -169,6 +198,68 @@ def bench(
         out.print(f"wrote {picture}")
 
 
+@app.command()
+def figures(
+    ablations: Annotated[
+        bool, typer.Option("--ablations", help="What each part of the controller is worth, and where it breaks.")
+    ] = False,
+    seeds: Annotated[str, typer.Option(help="Seeds: 0-127, 7 or 0-31,100-131.")] = "0-127",
+    folder: Annotated[Path, typer.Option("--out", help="Folder for picture, table and episodes.")] = OUT / "figures",
+    processes: Processes = None,
+    fresh: Fresh = False,
+    record_file: RecordFile = None,
+) -> None:
+    """Draw figures of many flights; those of a single one come from `fovconn demo`."""
+    if not ablations:
+        raise ValueError("figures must be told which, got none: add --ablations")
+    from training import ablations as studies
+    from training.ablation_plot import draw as draw_ablations
+
+    numbers, cells = parse_seeds(seeds), studies.cells()
+    _check_folder(folder)
+    _check_writable({"--record": record_file})
+    results, seconds = _fly(cells, numbers, folder, processes, fresh)
+    found = studies.gather(results)
+    report = studies.record(found, numbers, seconds)
+    head, rows = studies.rows(found)
+    out.print(_grid(f"ablations on {studies.BASE}, {len(numbers)} seeds", head, rows))
+    written = [draw_ablations(found, folder / "ablations.png", f"{studies.BASE}, seeds {seeds}, 95 % intervals")]
+    written += [_write_json(folder / "ablations.json", report)]
+    written += [_write_json(record_file, report)] if record_file is not None else []
+    out.print("wrote " + ", ".join(str(file) for file in written), highlight=False, soft_wrap=True)
+
+
+def _fly(
+    cells: list[Cell], seeds: list[int], folder: Path, processes: int | None, fresh: bool
+) -> tuple[list[Evaluation], float]:
+    """Evaluations of the cells, and the seconds they took, with a progress bar."""
+    folder.mkdir(parents=True, exist_ok=True)
+    began, total = time.perf_counter(), len(cells) * len(seeds)
+    with _progress() as bar:
+        _warm_up(bar, cells[0].scenario, cells[0].policy)
+        task = bar.add_task(f"{total} episodes", total=total)
+        results = fly_cells(
+            cells,
+            seeds,
+            folder=folder / "episodes",
+            fresh=fresh,
+            processes=processes,
+            progress=lambda done: bar.update(task, completed=done),
+        )
+        bar.update(task, completed=total)
+    return results, time.perf_counter() - began
+
+
+def _check_folder(folder: Path) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"--out must name a folder, got {str(folder)!r}: it is a file")
+
+
+def _write_json(file: Path, report: dict[str, Any]) -> Path:
+    file.write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n", "utf-8")
+    return file
+
+
 @contextmanager
 def _progress() -> Iterator[Progress]:
     columns = (
@@ -185,8 +276,9 @@ def _progress() -> Iterator[Progress]:
 def _warm_up(bar: Progress, chosen: Scenario, policy: str) -> None:
     """Load or compile the kernels under a line that says so."""
     task = bar.add_task("loading (compiles once, ~20 s)", total=None)
-    simulator = fovconn_env.Simulator(chosen)
-    load_policy(policy, chosen).act(simulator.reset(0))
+    kind = find_policy(policy)
+    simulator = fovconn_env.Simulator(kind.equip(chosen))
+    kind(simulator.scenario).act(simulator.reset(0))
     bar.update(task, total=1, completed=1, description="loaded")
 
 
@@ -212,9 +304,7 @@ _ROWS = (
 def _table(result: Evaluation) -> Table:
     report = summary(result)
     count = len(result.seeds)
-    title = (
-        f"{result.policy} on {result.scenario.name}, {count} episode{'s' if count > 1 else ''}, {result.seconds:.0f} s"
-    )
+    title = f"{result.policy} on {result.scenario.name}, {count} episode{'s' if count > 1 else ''}"
     table = Table(title=title, title_justify="left")
     table.add_column("measure")
     table.add_column("value", justify="right")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from rich.progress import Progress
 
-from baselines import Gains, load_policy
+from baselines import Gains, find_policy, load_policy
 from baselines.expert import potential
 from fovconn_env import Flight, Scenario
 from fovconn_env.flight import fly
@@ -18,9 +18,9 @@ from training.evaluation import Evaluation, evaluate
 
 def fly_once(policy: str, scenario: Scenario, seed: int, watch: Callable[[int], None]) -> tuple[Flight, Evaluation]:
     """One flight on record, and the same flight measured."""
-    pilot = load_policy(policy, scenario)
-    flight = fly(scenario, pilot.act, seed, watch=watch)
-    return flight, evaluate(policy, scenario, [seed])
+    equipped = find_policy(policy).equip(scenario)
+    flight = fly(equipped, load_policy(policy, equipped).act, seed, watch=watch)
+    return flight, evaluate(policy, equipped, [seed])
 
 
 def draw(flight: Flight, folder: Path, *, animation: bool, bar: Progress) -> list[Path]:

@@ -2,127 +2,138 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-import platform
-import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import stats
 
-import fovconn_env
-from baselines import load_policy
-from fovconn_env import Map, Scenario, Simulator
-from fovconn_env.metrics import Meter, Samples
+from baselines import Policy, find_policy
+from fovconn_env import Scenario, Simulator
+from fovconn_env.metrics import ERRORS, Meter, quantile
+from training.statistics import share_interval
 
 BATCH = 256  # worlds flown at once
+SHARES = ("never_disconnected", "success", "collision")  # measures that are yes or no
 
 
 class Evaluation(NamedTuple):
-    """One policy on one scenario."""
+    """One policy on one scenario, E episodes."""
 
     policy: str
-    scenario: Scenario
+    scenario: Scenario  # the task; what the policy's own equipment changes in it is not in here
     seeds: list[int]
     episodes: dict[str, np.ndarray]  # (E,) each, see Meter.results
-    samples: Samples
-    seconds: float
+    histograms: np.ndarray  # (E, 3, N_BINS), see Meter.histograms
 
 
 def evaluate(
-    policy: str, scenario: Scenario, seeds: Sequence[int], *, progress: Callable[[float], None] | None = None
+    policy: str | type[Policy],
+    scenario: Scenario,
+    seeds: Sequence[int],
+    *,
+    progress: Callable[[float], None] | None = None,
 ) -> Evaluation:
-    """Fly `policy` once from every seed. `progress` is called with the number of episodes done, in fractions."""
-    began, parts, samples = time.perf_counter(), [], []
+    """Fly a policy, by name or class, once from every seed. `progress` is told the number of episodes done."""
+    parts = []
     for first in range(0, len(seeds), BATCH):
-        batch = list(seeds[first : first + BATCH])
-        simulator = Simulator(scenario, len(batch))
-        pilot = load_policy(policy, scenario)
-        observations = simulator.reset(batch)
-        meter = Meter(simulator)
-        while not simulator.over.all():
-            observations = simulator.step(pilot.act(observations))
-            meter.update()
+
+        def watch(done: float, first: int = first) -> bool:
             if progress is not None:
-                step = simulator.state.episode["step"]
-                share = np.where(simulator.over, 1.0, step / simulator.max_cycles)
-                progress(first + float(share.sum()))
-        parts.append(meter.results())
-        samples.append(meter.samples())
-    episodes = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    pooled = Samples(*(np.concatenate(kind) for kind in zip(*samples, strict=True)))
-    return Evaluation(policy, scenario, list(seeds), episodes, pooled, time.perf_counter() - began)
+                progress(first + done)
+            return True
+
+        parts.append(fly(policy, scenario, seeds[first : first + BATCH], watch=watch))
+    return join(parts)
+
+
+def fly(
+    policy: str | type[Policy],
+    scenario: Scenario,
+    seeds: Sequence[int],
+    *,
+    watch: Callable[[float], bool],
+    n_threads: int | None = None,
+) -> Evaluation:
+    """Fly one batch. `watch` is told the number of episodes done, in fractions, and says whether to go on.
+
+    If not, the result has the finished episodes alone. Raises `ValueError` that names policy, scenario, seed and step
+    where the policy fails or returns what is no action.
+    """
+    kind = find_policy(policy) if isinstance(policy, str) else policy
+    simulator = Simulator(kind.equip(scenario), len(seeds), n_threads=n_threads, starts=scenario)
+    pilot = kind(simulator.scenario)
+    observations = simulator.reset(list(seeds))
+    meter, going = Meter(simulator), True
+    while going and not simulator.over.all():
+        observations = simulator.step(_decide(pilot, observations, simulator, seeds))
+        meter.update()
+        step = simulator.state.episode["step"]
+        going = watch(float(np.where(simulator.over, 1.0, step / simulator.max_cycles).sum()))
+    done = simulator.over
+    episodes = {name: values[done] for name, values in meter.results().items()}
+    finished = [seed for seed, over in zip(seeds, done, strict=True) if over]
+    return Evaluation(label(policy), scenario, finished, episodes, meter.histograms()[done])
+
+
+def join(parts: Sequence[Evaluation]) -> Evaluation:
+    """Evaluations of the same policy on the same scenario as one."""
+    episodes = {name: np.concatenate([part.episodes[name] for part in parts]) for name in parts[0].episodes}
+    histograms = np.concatenate([part.histograms for part in parts])
+    seeds = [seed for part in parts for seed in part.seeds]
+    return parts[0]._replace(seeds=seeds, episodes=episodes, histograms=histograms)
+
+
+def label(policy: str | type[Policy]) -> str:
+    """What a policy is called in tables: its name in POLICIES, or its class's."""
+    kind = find_policy(policy) if isinstance(policy, str) else policy
+    return policy if isinstance(policy, str) and ":" not in policy and not policy.endswith(".py") else kind.__name__
 
 
 def summary(evaluation: Evaluation) -> dict[str, Any]:
     """The numbers to report: shares with 95 % Wilson intervals, means over episodes, pooled estimator errors."""
-    episodes, samples = evaluation.episodes, evaluation.samples
-    count = len(evaluation.seeds)
+    episodes, count = evaluation.episodes, len(evaluation.seeds)
     report: dict[str, Any] = {"episodes": count}
-    for name in ("never_disconnected", "success", "collision"):
-        hits = int(episodes[name].sum())
-        interval = stats.binomtest(hits, count).proportion_ci(method="wilson")
-        report[name] = hits / count
-        report[f"{name}_interval"] = [float(interval.low), float(interval.high)]
-    for name in ("connected_share", "min_lambda2", "mean_lambda2", "progress", "duration", "links_lost_per_minute"):
-        report[name] = _mean(episodes[name])
+    for name in SHARES:
+        report[name] = float(episodes[name].mean())
+        report[f"{name}_interval"] = list(share_interval(episodes[name]))
     report["least_separation"] = float(episodes["least_separation"].min())
-    for name in ("mutual_share", "one_way_share", "saturated_share", "bytes_per_second", "return"):
+    for name in MEANS:
         report[name] = _mean(episodes[name])
-    report["lambda2_error_median"] = _quantile(samples.lambda2, 0.5)
-    report["lambda2_error_p95"] = _quantile(samples.lambda2, 0.95)
-    report["yaw_rms_mutual"] = _rms(samples.yaw_mutual)
-    report["yaw_rms_one_way"] = _rms(samples.yaw_one_way)
-    report["yaw_valid_mutual"] = _mean(episodes["yaw_valid_mutual"])
-    report["yaw_valid_one_way"] = _mean(episodes["yaw_valid_one_way"])
+    pooled = dict(zip(ERRORS, evaluation.histograms.sum(0), strict=True))
+    report["lambda2_error_median"] = quantile(pooled["lambda2"], 0.5)
+    report["lambda2_error_p95"] = quantile(pooled["lambda2"], 0.95)
+    for k, name in ((1, "mutual"), (2, "one_way")):
+        rms, weight = episodes[f"yaw_rms_{name}"], evaluation.histograms[:, k].sum(-1)
+        total = float(np.nansum(np.square(rms) * weight))
+        report[f"yaw_rms_{name}"] = math.sqrt(total / weight.sum()) if weight.sum() else math.nan
     return report
 
 
-def to_json(evaluation: Evaluation) -> dict[str, Any]:
-    """A JSON-ready record: what was flown, the summary, every episode, and a `run` block that may differ."""
-    episodes = {name: [_clean(x) for x in values.tolist()] for name, values in evaluation.episodes.items()}
-    return {
-        "policy": evaluation.policy,
-        "scenario": evaluation.scenario.name,
-        "settings": plain(evaluation.scenario),
-        "fovconn_env": fovconn_env.__version__,
-        "seeds": evaluation.seeds,
-        "summary": {name: _clean(value) for name, value in summary(evaluation).items()},
-        "episodes": episodes,
-        "run": {
-            "seconds": round(evaluation.seconds, 2),
-            "finished": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-            "machine": platform.machine(),
-        },
-    }
+MEANS = (
+    "connected_share min_lambda2 mean_lambda2 progress duration time_to_goal links_lost_per_minute lost_by_range "
+    "lost_by_view lost_by_occlusion mutual_share one_way_share mean_speed saturated_share bytes_per_second return "
+    "v2_alignment yaw_valid_mutual yaw_valid_one_way"
+).split()
 
 
-def plain(settings: Any) -> Any:
-    """Settings as JSON-ready values; a map of the user's own as its pieces."""
-    if isinstance(settings, Map):
-        pieces, vertices = settings.flatten()
-        return {"pieces": pieces.tolist(), "vertices": vertices.tolist()}
-    if dataclasses.is_dataclass(settings):
-        return {item.name: plain(getattr(settings, item.name)) for item in dataclasses.fields(settings)}
-    return _clean(settings.item() if isinstance(settings, np.generic) else settings)
-
-
-def _clean(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+def _decide(pilot: Policy, observations: np.ndarray, simulator: Simulator, seeds: Sequence[int]) -> np.ndarray:
+    """The policy's actions, found to be finite."""
+    name, where = type(pilot).__name__, simulator.scenario.name
+    at = f"step {int(simulator.state.episode['step'].max())}"
+    try:
+        actions = pilot.act(observations)
+    except Exception as problem:
+        what = problem if isinstance(problem, ValueError) else f"{type(problem).__name__}: {problem}"
+        raise ValueError(f"policy {name} failed on {where} in {at}: {what}") from problem
+    bad = ~np.isfinite(actions).all(-1) & ~simulator.over[:, None]
+    if bad.any():
+        b, i = np.argwhere(bad)[0]
+        got = f"got {actions[b, i].tolist()} for uav_{i} on {where}, seed {seeds[b]}, {at}"
+        raise ValueError(f"policy {name} must return finite actions, {got}: did it diverge?")
+    return np.where(simulator.over[:, None, None], 0.0, actions)
 
 
 def _mean(values: np.ndarray) -> float:
     values = values[np.isfinite(values)]
     return float(values.mean()) if values.size else math.nan
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(values, dtype=np.float64)))) if values.size else math.nan
-
-
-def _quantile(values: np.ndarray, share: float) -> float:
-    return float(np.quantile(values, share)) if values.size else math.nan

@@ -29,14 +29,17 @@ def weigh(pairs, infos, p):
             if ij.weight > 0.0:
                 n_edges += 1
             elif before > 0.0:
-                if not p.d_min < ij.distance < p.d_max:
-                    infos[i].lost_link_cause = infos[j].lost_link_cause = RANGE
-                elif ij.blocked:
-                    infos[i].lost_link_cause = infos[j].lost_link_cause = OCCLUSION
-                else:
-                    infos[i].lost_link_cause = OWN_VIEW if watched_by_i else ITS_VIEW
-                    infos[j].lost_link_cause = OWN_VIEW if watched_by_j else ITS_VIEW
+                infos[i].lost_link_cause = lost_link(ij, OWN_VIEW if watched_by_i else ITS_VIEW, p)
+                infos[j].lost_link_cause = lost_link(ij, OWN_VIEW if watched_by_j else ITS_VIEW, p)
     return n_edges
+
+
+@kernel
+def lost_link(pair, view, p):
+    """Why a pair has no link any more: RANGE, OCCLUSION, or else `view`, of whom it was that looked away."""
+    if not p.d_min < pair.distance < p.d_max:
+        return RANGE
+    return OCCLUSION if pair.blocked else view
 
 
 @kernel

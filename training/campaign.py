@@ -1,0 +1,262 @@
+"""Many evaluations: policies x scenarios on the same seeds, in processes, with what is finished kept on disk."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import inspect
+import json
+import multiprocessing
+import os
+import signal
+import threading
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import baselines
+import fovconn_env
+from baselines import POLICIES, find_policy
+from fovconn_env import PRESETS, Scenario
+from training.evaluation import Evaluation, fly, join, label
+from training.record import plain
+
+DEV_SEEDS = range(320)  # frozen: development; a held-out set is kept apart
+SUITES = {"quick": DEV_SEEDS[:32], "full": DEV_SEEDS}  # all policies on all scenarios
+BLOCK = 64  # episodes flown at once by a process
+_POLL = 0.1  # s
+
+
+class Cell(NamedTuple):
+    """What is flown: a policy, as `find_policy` takes it, on a scenario."""
+
+    policy: str
+    scenario: Scenario
+
+
+class Interrupted(Exception):
+    """The user broke off; the message tells what was finished and where it is."""
+
+
+def suite(name: str) -> tuple[list[str], list[str], list[int]]:
+    """Policies, scenarios and seeds of a suite; `ValueError` lists the suites there are."""
+    if name not in SUITES:
+        raise ValueError(f"suite must be one of {', '.join(SUITES)}, got {name!r}: each flies all policies")
+    return list(POLICIES), list(PRESETS), list(SUITES[name])
+
+
+def parse_seeds(text: str) -> list[int]:
+    """Seeds of "0-319", "7" or "0-31,100-131", each once; `ValueError` for anything else."""
+    seeds: dict[int, None] = {}
+    for part in text.split(","):
+        low, dash, high = (word.strip() for word in part.partition("-"))
+        if not low.isdecimal() or not (high.isdecimal() if dash else True) or (dash and int(high) < int(low)):
+            raise ValueError(f"seeds must be like 0-319, 7 or 0-31,100-131, got {text!r}: {part!r} is no such part")
+        seeds |= dict.fromkeys(range(int(low), int(high or low) + 1))
+    return list(seeds)
+
+
+def fly_cells(
+    cells: Sequence[Cell],
+    seeds: Sequence[int],
+    *,
+    folder: Path | None = None,
+    fresh: bool = False,
+    processes: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> list[Evaluation]:
+    """Fly every cell from every seed; results in the order of `cells`, whatever the number of processes.
+
+    Episodes are kept in `folder` as they finish, and those found there are not flown again, unless `fresh`. `progress`
+    is told the number of episodes done, those found among them. Raises `ValueError` for two policies of one label or a
+    policy that fails, `Interrupted` after Ctrl-C; both leave what was finished in the folder.
+    """
+    _check_labels(cells)
+    shelf = Shelf(folder)
+    done = [None if fresh else shelf.load(cell) for cell in cells]
+    orders = _orders(cells, seeds, done)
+    found = len(seeds) * len(cells) - sum(len(block) for _, block in orders)
+
+    def keep(k: int, part: Evaluation) -> None:
+        if not part.seeds:
+            return
+        kept = done[k]
+        done[k] = part if kept is None else join([kept, part])
+        shelf.save(cells[k], done[k])
+
+    try:
+        if orders:
+            _fly_orders(
+                cells, orders, processes or os.cpu_count() or 1, keep, lambda n: progress and progress(found + n)
+            )
+    except Interrupted:
+        kept = sum(len(set(seeds) & set(part.seeds)) for part in done if part is not None)
+        where = f"are kept in {folder}, the same command goes on from there" if folder else "were finished"
+        raise Interrupted(f"interrupted: {kept} of {len(seeds) * len(cells)} episodes {where}") from None
+    return [_in_order(part, seeds) for part in done if part is not None]
+
+
+def _orders(cells: Sequence[Cell], seeds: Sequence[int], done: Sequence[Evaluation | None]) -> list[tuple[int, list]]:
+    """(cell, seeds) of each block still to be flown, those that take longest first."""
+    orders = []
+    for k, part in enumerate(done):
+        there = set(part.seeds) if part is not None else set()
+        missing = [seed for seed in seeds if seed not in there]
+        orders += [(k, missing[first : first + BLOCK]) for first in range(0, len(missing), BLOCK)]
+    return sorted(orders, key=lambda order: -len(order[1]) * _cost(cells[order[0]].scenario))
+
+
+def _cost(scenario: Scenario) -> float:
+    return scenario.max_cycles * scenario.n_agents**2 * (2.0 if scenario.dynamics == "quadrotor" else 1.0)
+
+
+def _fly_orders(
+    cells: Sequence[Cell],
+    orders: list[tuple[int, list]],
+    processes: int,
+    keep: Callable[[int, Evaluation], None],
+    progress: Callable[[float], None],
+) -> None:
+    """Hand the orders to processes; an interruption or a failure stops them where they are."""
+    context = multiprocessing.get_context("spawn")  # a fork would copy threads that do not run in the child
+    stop, counts = context.Value("b", 0, lock=False), context.Array("d", len(orders), lock=False)
+    pool = ProcessPoolExecutor(min(processes, len(orders)), context, _enlist, (stop, counts))
+    waiting: dict[Future[Evaluation], int] = {}
+    problem: BaseException | None = None
+    with pool, _noted_interruption() as interrupted:
+        for slot, (k, block) in enumerate(orders):
+            waiting[pool.submit(_fly_block, slot, cells[k], block)] = k
+        while waiting:
+            finished, _ = wait(waiting, _POLL, FIRST_COMPLETED)
+            progress(sum(counts))
+            for future in finished:
+                k = waiting.pop(future)
+                if (failure := future.exception()) is not None:
+                    problem = problem or failure
+                else:
+                    keep(k, future.result())
+            if interrupted.is_set():
+                problem = problem or Interrupted()
+            if problem is not None and not stop.value:
+                stop.value = 1
+                waiting = {future: k for future, k in waiting.items() if not future.cancel()}
+    if isinstance(problem, BrokenProcessPool):
+        raise OSError("a process that flew died, out of memory perhaps: try fewer --processes") from problem
+    if problem is not None:
+        raise problem
+
+
+@contextlib.contextmanager
+def _noted_interruption() -> Iterator[threading.Event]:
+    """Ctrl-C sets the event instead of striking anywhere, so that what is finished can be kept."""
+    noted = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield noted
+        return
+    before = signal.signal(signal.SIGINT, lambda *_: noted.set())
+    try:
+        yield noted
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+_stop: Any = None  # in a worker process: whether to break off, and how many episodes each block has behind it
+_counts: Any = None
+
+
+def _enlist(stop: Any, counts: Any) -> None:
+    global _stop, _counts
+    _stop, _counts = stop, counts
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the parent, which says when to stop
+
+
+def _fly_block(slot: int, cell: Cell, seeds: list[int]) -> Evaluation:
+    def watch(done: float) -> bool:
+        _counts[slot] = done
+        return not _stop.value
+
+    return fly(cell.policy, cell.scenario, seeds, watch=watch, n_threads=1)
+
+
+def _check_labels(cells: Sequence[Cell]) -> None:
+    known: dict[str, str] = {}
+    for policy in dict.fromkeys(cell.policy for cell in cells):
+        other = known.setdefault(label(policy), policy)
+        if other != policy:
+            raise ValueError(f"policies must have different names, got {other!r} and {policy!r}: rename a class")
+
+
+def _in_order(part: Evaluation, seeds: Sequence[int]) -> Evaluation:
+    """The episodes of these seeds in their order."""
+    place = {seed: k for k, seed in enumerate(part.seeds)}
+    chosen = [place[seed] for seed in seeds]
+    episodes = {name: values[chosen] for name, values in part.episodes.items()}
+    return part._replace(seeds=list(seeds), episodes=episodes, histograms=part.histograms[chosen])
+
+
+class Shelf:
+    """Finished episodes on disk, one file for a policy on a scenario; without a folder, nothing is kept.
+
+    A file's name holds a fingerprint of all settings and of the source code, so that what was flown by other settings
+    or other code is not taken for the same.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self.folder = folder
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+
+    def load(self, cell: Cell) -> Evaluation | None:
+        """A cell's episodes, None if there are none; `ValueError` for a damaged file."""
+        file = self._file(cell)
+        if file is None or not file.is_file():
+            return None
+        try:
+            with file.open("rb") as stream, np.load(stream) as kept:
+                data = {name: kept[name] for name in kept.files}
+            histograms, seeds = data.pop("histograms"), data.pop("seeds").tolist()
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as problem:
+            raise ValueError(f"{file} is damaged ({problem}): delete it, its episodes are flown again") from problem
+        return Evaluation(label(cell.policy), cell.scenario, seeds, data, histograms)
+
+    def save(self, cell: Cell, evaluation: Evaluation | None) -> None:
+        """Put finished episodes in the place of what was there, with no moment in which neither is."""
+        file = self._file(cell)
+        if file is None or evaluation is None:
+            return
+        part = file.with_suffix(".part.npz")
+        np.savez_compressed(
+            part, **evaluation.episodes, seeds=np.array(evaluation.seeds), histograms=evaluation.histograms
+        )
+        part.replace(file)
+
+    def _file(self, cell: Cell) -> Path | None:
+        if self.folder is None:
+            return None
+        return self.folder / f"{label(cell.policy)}@{cell.scenario.name}-{fingerprint(cell)}.npz"
+
+
+def fingerprint(cell: Cell) -> str:
+    """Twelve letters that change with any setting of a cell and with the source code that flies it."""
+    kind = find_policy(cell.policy)
+    digest = hashlib.sha256(json.dumps([plain(cell.scenario), plain(kind.equip(cell.scenario))]).encode())
+    digest.update(_code().encode())
+    with contextlib.suppress(OSError, TypeError):  # a class typed at a prompt has no file
+        digest.update(Path(inspect.getfile(kind)).read_bytes())
+    return digest.hexdigest()[:12]
+
+
+@functools.cache
+def _code() -> str:
+    """Hash of the sources of environment and baselines."""
+    digest = hashlib.sha256()
+    for package in (fovconn_env, baselines):
+        for file in sorted(Path(inspect.getfile(package)).parent.rglob("*.py")):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,193 @@
+"""The report on a set of evaluations: `report.md` with its pictures, and `report.html` in one file."""
+
+from __future__ import annotations
+
+import base64
+import os
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from fovconn_env.metrics import SPLIT_CAUSE
+from training.comparison import (
+    EXPERT,
+    Comparison,
+    Table,
+    compare,
+    difference_table,
+    estimator_table,
+    figures,
+    number,
+    overall_table,
+    scenario_table,
+)
+from training.evaluation import Evaluation
+from training.report_plot import Picture, draw
+
+TITLE = "fovconn benchmark"
+ROOT = Path(__file__).parents[1]
+METRICS = ROOT / "docs" / "metrics.md"
+MOST_LOST = 20  # lost episodes listed
+
+TERMS = (
+    ("kept", "share of episodes in which the team was never disconnected (true lambda2 > lambda2_min in every step)"),
+    ("success", "share of episodes that reached the scenario's goal, connected and without a collision"),
+    ("collided", "episodes that ended by a collision"),
+    ("connected", "share of time with lambda2 > lambda2_min, mean over episodes"),
+    ("progress", "leader's speed along the stick over the speed asked for, mean over episodes; none without a stick"),
+    (
+        "score IQM",
+        "interquartile mean of (return - random's) / (expert's - random's), by their mean returns; not clipped",
+    ),
+    ("> expert", "probability that an episode's return is above one of the expert's, ties count half"),
+    ("lambda2 error", "|lambda2_hat - lambda2| / lambda2 while connected, over all robots and steps"),
+    ("yaw rms", "root mean square of sin(error / 2) of relative yaws, by who sees whom"),
+    ("B/s", "bytes a robot sends in a second"),
+    ("[a, b]", "95 % interval: Wilson for shares, Bonett-Price for differences of shares, bootstrap for the others"),
+)
+
+
+class Grid(NamedTuple):
+    """A table with its title, and lines below it."""
+
+    title: str
+    head: list[str]
+    rows: list[list[str]]
+    notes: Sequence[str] = ()
+
+
+class Section(NamedTuple):
+    """A part of the report under a heading."""
+
+    title: str
+    lines: Sequence[str] = ()
+    terms: Sequence[tuple[str, str]] = ()
+    link: tuple[str, str] | None = None  # words and address; "" where there is nothing to link to
+    tables: Sequence[Grid] = ()
+    pictures: Sequence[Picture] = ()
+
+    @property
+    def anchor(self) -> str:
+        """The section's place in the page."""
+        return re.sub(r"[^a-z0-9-]+", "-", self.title.lower()).strip("-")
+
+
+def write_report(
+    evaluations: Sequence[Evaluation],
+    folder: Path,
+    head: Mapping[str, str],
+    notes: Mapping[str, str] | None = None,
+) -> list[Path]:
+    """Write report.md, report.html and plots/*.png into a folder, which must be there; returns the files.
+
+    head: what was run, by name, for the top: seeds, versions, date, settings. notes: footnotes by policy, see
+    `compare`. The same arguments write the same bytes. Raises `ValueError` as `compare` does.
+    """
+    comparison = compare(evaluations, notes)
+    plots = folder / "plots"
+    plots.mkdir(exist_ok=True)
+    sections = [_overview(comparison), *(_scenario(comparison, name, plots) for name in comparison.scenarios)]
+    sections.append(Section("Definitions", terms=TERMS, link=("docs/metrics.md", _link(folder))))
+    page, text = folder / "report.html", folder / "report.md"
+    text.write_text(markdown(head, sections, folder), "utf-8")
+    page.write_text(html(head, sections), "utf-8")
+    return [text, page, *(picture.path for section in sections for picture in section.pictures)]
+
+
+def markdown(head: Mapping[str, str], sections: Sequence[Section], folder: Path) -> str:
+    """The report as Markdown; pictures are named relative to the folder."""
+    parts = [f"# {TITLE}", "\n".join(f"- {name}: {_escape(str(value))}" for name, value in head.items())]
+    for section in sections:
+        parts += [f"## {section.title}", *section.lines]
+        if section.terms:
+            parts.append("\n".join(f"- {_escape(name)}: {_escape(text)}" for name, text in section.terms))
+        if section.link:
+            words, address = section.link
+            parts.append(f"More in {f'[{words}]({address})' if address else words}.")
+        for table in section.tables:
+            parts += [f"### {table.title}", _grid(table), *table.notes]
+        for picture in section.pictures:
+            where = picture.path.relative_to(folder).as_posix()
+            parts += [f"### {picture.title}", f"![{section.title}: {picture.title}]({where})", _escape(picture.text)]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def html(head: Mapping[str, str], sections: Sequence[Section]) -> str:
+    """The report as one HTML file with its pictures inside."""
+    loader = Environment(loader=PackageLoader("training"), autoescape=True, undefined=StrictUndefined)
+    loader.filters["embedded"] = _embedded
+    return loader.get_template("report.html").render(title=TITLE, head=head, sections=sections) + "\n"
+
+
+def lost_table(comparison: Comparison, scenario: str) -> tuple[Table, int]:
+    """Episodes in which a policy called expert... lost its team, the expert's own first; and how many there are."""
+    rows = []
+    policies = [policy for policy in comparison.on(scenario) if policy.startswith(EXPERT)]
+    for policy in sorted(policies, key=lambda policy: policy != EXPERT):
+        evaluation = comparison.results[scenario, policy].evaluation
+        episodes = evaluation.episodes
+        for k in np.flatnonzero(np.isfinite(episodes["first_disconnection"])):
+            row = [
+                comparison.name(policy),
+                str(evaluation.seeds[k]),
+                number(episodes["first_disconnection"][k], ".2f"),
+                SPLIT_CAUSE[int(episodes["split_cause"][k])],
+                figures(episodes["split_lambda2_hat"][k]),
+                number(episodes["split_alignment"][k], ".3f"),
+            ]
+            rows.append(row)
+    return (["policy", "seed", "time, s", "cause", "lambda2_hat before", "v2 alignment"], rows[:MOST_LOST]), len(rows)
+
+
+# ------------------------------------------------------------------------------------------------------------ parts
+def _overview(comparison: Comparison) -> Section:
+    count = len(comparison.scenarios)
+    where = f"all {count} scenarios" if count > 1 else comparison.scenarios[0]
+    lines = [] if len(comparison.overall) == len(comparison.policies) else ["Policies that flew every scenario."]
+    return Section("Overview", lines, tables=[Grid(f"Over {where}", *overall_table(comparison), comparison.footnotes)])
+
+
+def _scenario(comparison: Comparison, scenario: str, plots: Path) -> Section:
+    results = comparison.on(scenario)
+    count = len(next(iter(results.values())).evaluation.seeds)
+    marked = [
+        note for note in comparison.footnotes if any(comparison.marks.get(p) == note.split(" ")[0] for p in results)
+    ]
+    tables = [Grid("Results", *scenario_table(comparison, scenario), marked)]
+    differences = difference_table(comparison, scenario)
+    if len(differences[0]) > 1:
+        about = ["On the same seeds; kept and success in percentage points."]
+        tables.append(Grid("Difference to the expert", *differences, about))
+    tables.append(Grid("Connectivity and estimators", *estimator_table(comparison, scenario)))
+    lost, total = lost_table(comparison, scenario)
+    if total:
+        note = [f"The first {MOST_LOST} of {total}."] if total > MOST_LOST else []
+        note.append("lambda2_hat, mean over the robots, and |cos| between their v2 and the true one: one step before.")
+        tables.append(Grid("Teams that the expert and its variants lost", *lost, note))
+    lines = [f"{count} episode{'s' if count > 1 else ''} a policy, all from the same seeds."]
+    return Section(scenario, lines, tables=tables, pictures=draw(comparison, scenario, plots))
+
+
+def _grid(table: Grid) -> str:
+    """A table in Markdown, the words on the left and the numbers on the right."""
+    lines = [table.head, ["---", *["---:"] * (len(table.head) - 1)], *table.rows]
+    return "\n".join("| " + " | ".join(_escape(cell) for cell in line) + " |" for line in lines)
+
+
+def _escape(text: str) -> str:
+    """A line of text that Markdown takes literally."""
+    return re.sub(r"([\\|<>*_`])", r"\\\1", text)
+
+
+def _embedded(path: Path) -> str:
+    return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
+
+
+def _link(folder: Path) -> str:
+    """Address of docs/metrics.md as seen from the folder; "" outside of the repository."""
+    inside = METRICS.is_file() and folder.resolve().is_relative_to(ROOT)
+    return Path(os.path.relpath(METRICS, folder.resolve())).as_posix() if inside else ""

@@ -1,0 +1,243 @@
+"""Pictures of a comparison, four of each scenario; a policy has one colour and dash in all of them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator, NullLocator, PercentFormatter
+
+from fovconn_env.metrics import ERRORS, SPLIT_CAUSE, bin_edges
+from fovconn_env.render.style import DARK, FAINT, FOLLOWERS, LEADER, RC, page, save
+from training.comparison import EXPERT, Comparison, Result
+from training.statistics import survival
+
+WIDTH = 7.5  # inches, 1200 pixels
+ROW = 0.27  # inches of a policy in bar charts and forests
+CAUSES = {"range": "#0072B2", "field of view": "#E69F00", "occlusion": "#CC79A7", "weak links": "#C9C5BE"}
+MEASURES = {
+    "score": "score: 0 random's mean return, 1 the expert's",
+    "progress": "leader's progress",
+    "return": "return",
+}
+
+
+Dashes = str | tuple[float, tuple[float, ...]]
+DASHES: tuple[Dashes, ...] = "-", (0, (5, 2)), (0, (1, 1.5))
+
+
+class Look(NamedTuple):
+    """How a policy is drawn everywhere."""
+
+    color: str
+    dashes: Dashes
+
+
+class Picture(NamedTuple):
+    """A file and what it shows."""
+
+    path: Path
+    title: str
+    text: str
+
+
+def looks(policies: list[str]) -> dict[str, Look]:
+    """Black for the expert, for the others seven colours times three dashes."""
+    pairs = itertools.cycle(Look(color, dashes) for dashes in DASHES for color in FOLLOWERS)
+    others = {policy: next(pairs) for policy in policies if policy != EXPERT}
+    return {policy: others.get(policy, Look(LEADER, "-")) for policy in policies}
+
+
+@matplotlib.rc_context(RC)
+def draw(comparison: Comparison, scenario: str, folder: Path) -> list[Picture]:
+    """Draw all pictures of a scenario into a folder."""
+    look, results = looks(comparison.policies), comparison.on(scenario)
+    names = {policy: comparison.name(policy) for policy in results}
+    kinds: list[tuple[str, str, str, Callable[..., Figure | None]]] = [
+        ("curves", "Connectivity and score", CURVES_TEXT, draw_curves),
+        ("differences", "Differences to the expert", DIFFERENCES_TEXT, draw_differences),
+        ("causes", "Why links and teams were lost", CAUSES_TEXT, draw_causes),
+        ("errors", "Estimator errors", ERRORS_TEXT, draw_errors),
+    ]
+    pictures = []
+    for kind, title, text, make in kinds:
+        figure = make(results, names, look)
+        if figure is not None:
+            path = folder / f"{re.sub(r'[^A-Za-z0-9.-]+', '_', scenario)}_{kind}.png"
+            pictures.append(Picture(save(figure, path), title, text))
+    return pictures
+
+
+CURVES_TEXT = (
+    "Left: share of teams not yet disconnected (Kaplan-Meier, 95 % bands; an episode that ends for another reason is "
+    "censored there). Right: share of episodes worth more than the value on the axis."
+)
+DIFFERENCES_TEXT = "Share of episodes, policy less expert on the same seeds, with 95 % intervals."
+CAUSES_TEXT = (
+    "Left: links lost per minute, by the reason of each. Right: episodes whose team split, by the reason for which the "
+    "strongest link lost in that step was lost; weak links: none was lost in that step."
+)
+ERRORS_TEXT = (
+    "Share of all robots and steps with an error below the value on the axis: the relative error of lambda2_hat while "
+    "the team is connected, and sin(error / 2) of relative yaws where both robots see each other and where one does."
+)
+
+
+# --------------------------------------------------------------------------------------------------------- pictures
+def draw_curves(results: Mapping[str, Result], names: Mapping[str, str], look: Mapping[str, Look]) -> Figure:
+    """Survival of connectivity over time, and the performance profile."""
+    figure, lines = _with_legend(3.1, names, look)
+    left, right = figure.subplots(1, 2)
+    least = 1.0
+    for policy, result in results.items():
+        episodes = result.evaluation.episodes
+        lost = np.isfinite(episodes["first_disconnection"])
+        curve = survival(np.where(lost, episodes["first_disconnection"], episodes["duration"]), lost)
+        left.step(curve.times, curve.share, where="post", **lines[policy])
+        left.fill_between(curve.times, curve.low, curve.high, step="post", color=look[policy].color, alpha=0.10, lw=0)
+        least = min(least, float(curve.share.min()))
+    floor = max(min(least - 0.1, 0.9), 0.0)
+    reach = 0.02 * (1.0 - floor)
+    left.set(title="Teams never disconnected", xlabel="time, s", ylim=(floor - reach, 1.0 + reach))
+    left.set_xlim(left=0.0)
+    left.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    kind, values = _profile(results)
+    low, high = np.quantile(np.concatenate(list(values.values())), [0.005, 0.995])
+    margin = 0.04 * max(high - low, 0.1)
+    for policy, own in values.items():
+        ordered = np.sort(own)
+        above = 1.0 - np.arange(len(ordered) + 1) / len(ordered)
+        right.step([low - margin, *ordered], above, where="post", **lines[policy])
+    right.set(title="Episodes worth more than", xlabel=MEASURES[kind], xlim=(low - margin, high + margin))
+    right.set_ylim(-0.02, 1.02)
+    right.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    return figure
+
+
+def draw_differences(
+    results: Mapping[str, Result], names: Mapping[str, str], look: Mapping[str, Look]
+) -> Figure | None:
+    """Paired differences to the expert; None without one."""
+    others = {p: result for p, result in results.items() if not math.isnan(result.kept_difference.value)}
+    if not others:
+        return None
+    figure = page(WIDTH, 1.0 + ROW * len(others))
+    axes = figure.subplots(1, 2, sharey=True)
+    for panel, kind, title in zip(axes, ("kept", "success"), ("Never disconnected", "Success"), strict=True):
+        for row, (policy, result) in enumerate(others.items()):
+            value, low, high = getattr(result, f"{kind}_difference")
+            panel.plot([low, high], [row, row], color=look[policy].color, lw=1.6)
+            panel.plot(value, row, "o", color=look[policy].color, ms=5)
+        panel.axvline(0.0, color=DARK, lw=1.0, zorder=1)
+        panel.set(title=title, xlabel="policy - expert, percentage points")
+        panel.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0, symbol=""))
+        panel.xaxis.set_major_locator(MaxNLocator(6))
+    _rows(axes, [names[policy] for policy in others])
+    return figure
+
+
+def draw_causes(results: Mapping[str, Result], names: Mapping[str, str], look: Mapping[str, Look]) -> Figure:
+    """Reasons of lost links, a minute, and of splits."""
+    figure = page(WIDTH, 1.35 + ROW * len(results))
+    left, right = figure.subplots(1, 2, sharey=True)
+    lost, splits = np.zeros((len(results), 3)), np.zeros((len(results), len(SPLIT_CAUSE) - 1))
+    for row, result in enumerate(results.values()):
+        episodes = result.evaluation.episodes
+        minutes = episodes["duration"].sum() / 60
+        lost[row] = [episodes[f"lost_by_{cause}"].sum() / minutes for cause in ("range", "view", "occlusion")]
+        splits[row] = [np.sum(episodes["split_cause"] == k) for k in range(1, len(SPLIT_CAUSE))]
+    _bars(left, lost)
+    _bars(right, splits)
+    left.set(title="Links lost", xlabel="per minute of flight")
+    count = max(len(result.evaluation.seeds) for result in results.values())
+    right.set(title="Teams split", xlabel=f"episodes, of {count}")
+    for panel in (left, right):
+        panel.set_xlim(0.0, max(1.04 * panel.dataLim.x1, 1.0))
+    right.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+    _rows((left, right), list(names.values()))
+    if not splits.any():
+        right.text(0.5, 0.5, "none", transform=right.transAxes, ha="center", va="center", color=FAINT)
+    handles = [Patch(color=color, label=cause) for cause, color in CAUSES.items()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(CAUSES))
+    return figure
+
+
+def draw_errors(results: Mapping[str, Result], names: Mapping[str, str], look: Mapping[str, Look]) -> Figure:
+    """Distribution functions of the estimators' errors."""
+    figure, lines = _with_legend(2.9, names, look)
+    titles = r"Estimate of $\lambda_2$", "Relative yaw, mutual view", "Relative yaw, one-way"
+    labels = r"$|\hat\lambda_2 - \lambda_2|\;/\;\lambda_2$", "sin(error / 2)", "sin(error / 2)"
+    bounds, ticks = ((1e-5, 200.0), *((1e-4, 1.0),) * 2), ([1e-4, 1e-2, 1, 100], *([1e-3, 1e-2, 1e-1],) * 2)
+    panels = figure.subplots(1, len(ERRORS), sharey=True)
+    for k, panel in enumerate(panels):
+        for policy, result in results.items():
+            counts = result.evaluation.histograms[:, k].sum(0)
+            if counts.sum() == 0:
+                continue
+            share = np.cumsum(counts)[:-1] / counts.sum()
+            panel.plot(bin_edges(), share, **lines[policy])
+        panel.set(title=titles[k], xlabel=labels[k], xscale="log", xlim=bounds[k], xticks=ticks[k], ylim=(-0.02, 1.02))
+        panel.xaxis.set_minor_locator(NullLocator())
+        panel.tick_params(axis="y", length=3 if k == 0 else 0)
+    panels[0].yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    return figure
+
+
+# ------------------------------------------------------------------------------------------------------------ parts
+def _profile(results: Mapping[str, Result]) -> tuple[str, dict[str, np.ndarray]]:
+    """What the profile is of, and its values by policy: scores, else progress, else returns."""
+    scores = {policy: result.scores for policy, result in results.items() if result.scores is not None}
+    if scores:
+        return "score", scores
+    for kind in ("progress", "return"):
+        found = {policy: result.evaluation.episodes[kind] for policy, result in results.items()}
+        found = {policy: values[np.isfinite(values)] for policy, values in found.items()}
+        if all(values.size for values in found.values()):
+            break
+    return kind, found
+
+
+def _with_legend(
+    height: float, names: Mapping[str, str], look: Mapping[str, Look]
+) -> tuple[Figure, dict[str, dict[str, Any]]]:
+    """A page with all policies named below what is drawn on it, and how to draw their lines.
+
+    Lines get thinner from the first to the last, so that those that coincide are all seen.
+    """
+    columns = max(1, min(len(names), int(WIDTH / (0.6 + 0.058 * max(len(name) for name in names.values()))), 4))
+    figure = page(WIDTH, height + 0.19 * math.ceil(len(names) / columns))
+    widths = np.linspace(3.0, 1.3, len(names)) if len(names) > 1 else [2.0]
+    lines = {
+        policy: {"color": look[policy].color, "ls": look[policy].dashes, "lw": float(width)}
+        for policy, width in zip(names, widths, strict=True)
+    }
+    handles = [Line2D([], [], label=name, **lines[policy]) for policy, name in names.items()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, handlelength=2.4)
+    return figure, lines
+
+
+def _bars(axes: Axes, parts: np.ndarray) -> None:
+    """Stacked bars; parts (rows, causes)."""
+    left = np.zeros(len(parts))
+    for k, color in zip(range(parts.shape[1]), CAUSES.values(), strict=False):
+        axes.barh(np.arange(len(parts)), parts[:, k], left=left, color=color, height=0.66)
+        left += parts[:, k]
+
+
+def _rows(panels: Sequence[Axes], names: list[str]) -> None:
+    """One line a policy, the first on top; panels share the axis."""
+    panels[0].set_yticks(range(len(names)), names)
+    panels[0].set_ylim(len(names) - 0.4, -0.6)
+    for panel in panels:
+        panel.tick_params(axis="y", length=0)
+        panel.grid(False, axis="y")
