@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+from baselines.augmented import Augmented, AugmentedGains
 from baselines.expert import Expert, Gains
 from baselines.policy import Policy, scenario_of
 
-POLICIES: dict[str, type[Policy]] = {"expert": Expert}
+POLICIES: dict[str, type[Policy]] = {"expert": Expert, "augmented": Augmented}
 
-__all__ = ["POLICIES", "Expert", "Gains", "Policy", "load_policy"]
+__all__ = ["POLICIES", "Augmented", "AugmentedGains", "Expert", "Gains", "Policy", "load_policy"]
 
 
 def load_policy(name: str, env: Any) -> Policy:

@@ -133,7 +133,7 @@ def test_set_changes_single_settings_of_groups(fovconn, tmp_path, order):
 
 
 BAD = {
-    "policy": (("eval", "--policy", "nobody"), "policy must be one of expert, got 'nobody'"),
+    "policy": (("eval", "--policy", "nobody"), "policy must be one of expert, augmented, got 'nobody'"),
     "scenario": (("eval", "--scenario", "LeaderFolow-v0"), "did you mean 'LeaderFollow-v0'"),
     "unknown setting": (("eval", "--set", "n_agnets=3"), "did you mean 'n_agents'"),
     "no value": (("eval", "--set", "n_agents"), "--set must be NAME=VALUE, got 'n_agents'"),
@@ -160,7 +160,7 @@ BAD = {
     "seed": (("eval", "--seed", "-1"), "'--seed'"),
     "option": (("eval", "--epsiodes", "3"), "--epsiodes"),
     "command": (("evla",), "evla"),
-    "demo policy": (("demo", "--policy", "nobody"), "policy must be one of expert, got 'nobody'"),
+    "demo policy": (("demo", "--policy", "nobody"), "policy must be one of expert, augmented, got 'nobody'"),
     "demo setting": (("demo", "--set", "n_agents=0"), "Scenario.n_agents must be at least 2, got 0"),
     "bench peer": (("bench", "--against", "pong"), "--against must name some of vmas, mpe2, "),
     "bench peers": (("bench", "vmas"), "'vmas' is unexpected: peers come after --against"),
@@ -190,7 +190,7 @@ def test_in_a_process_of_its_own():
     task = subprocess.run(words, cwd=ROOT, env=variables, capture_output=True, text=True, timeout=120, check=False)
     assert task.returncode == 2
     assert task.stdout == ""
-    assert task.stderr == "fovconn: policy must be one of expert, got 'nobody'\n"
+    assert task.stderr == "fovconn: policy must be one of expert, augmented, got 'nobody'\n"
 
 
 # ---------------------------------------------------------------------------------------------------------------- demo
