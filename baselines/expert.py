@@ -19,7 +19,8 @@ from fovconn_env.kernel.yaw_estimator import NONE
 from fovconn_env.scenarios import Scenario
 from fovconn_env.settings import check_numbers, rule
 
-GAINS = np.dtype((np.record, [(name, "f8") for name in "k_v clamp k_obs d_min_obs d_max_obs closest excite".split()]))
+_GAINS = "k_v clamp k_obs d_min_obs d_max_obs closest excite forward".split()
+GAINS = np.dtype((np.record, [(name, "f8") for name in _GAINS]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,9 +34,12 @@ class Gains:
     d_max_obs: float = 3.5  # m, where it ends (Table I)
     closest: float = 1.02  # m, distances are kept above this
     excite: float = 0.2  # m/s, see `excite`; 0 switches it off
+    forward: float = 0.0  # share of the neighbours' velocity, see `feed_forward`; 0 is the paper's law
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="k_v clamp k_obs d_min_obs d_max_obs closest", at_least="excite")
+        check_numbers(self, above="k_v clamp k_obs d_min_obs d_max_obs closest", at_least="excite forward")
+        hint = "at 1 a team without a leader drifts for ever"
+        rule(self.forward < 1.0, "Gains.forward", "below 1", self.forward, hint)
         ordered = self.d_min_obs < self.closest < self.d_max_obs
         hint = "the repulsion grows from d_max_obs down to its asymptote at d_min_obs"
         rule(ordered, "Gains.closest", "between d_min_obs and d_max_obs", self.closest, hint)
@@ -142,6 +146,36 @@ def excite(neighbors, p, g):
     return 0.0
 
 
+@kernel
+def feed_forward(neighbors, g):
+    """Share `forward` of the link-weighted mean velocity of the neighbours whose yaw is known, m/s, yaw frame."""
+    vx = vy = vz = total = 0.0
+    for j in range(neighbors.shape[0] if g.forward > 0.0 else 0):
+        row = neighbors[j]
+        if row.present == 0.0 or row.yaw_valid == 0.0:
+            continue
+        weight, c, s = np.float64(row.weight), np.float64(row.cos_yaw), np.float64(row.sin_yaw)
+        x, y, z = np.float64(row.vx), np.float64(row.vy), np.float64(row.vz)
+        vx, vy, vz = vx + weight * (c * x - s * y), vy + weight * (s * x + c * y), vz + weight * z  # iR_j v_j
+        total += weight
+    scale = g.forward / total if total > 0.0 else 0.0
+    return scale * vx, scale * vy, scale * vz
+
+
+@kernel
+def up_to_stick(forward, wish, stick):
+    """Feed-forward, m/s, of which the part along the stick fills up what `wish` lacks of the stick's speed, no more."""
+    (fx, fy, fz), (wx, wy, wz), (sx, sy, sz) = forward, wish, stick
+    speed = math.sqrt(sx * sx + sy * sy + sz * sz)
+    if speed == 0.0:
+        return fx, fy, fz
+    sx, sy, sz = sx / speed, sy / speed, sz / speed
+    along = fx * sx + fy * sy + fz * sz
+    lack = max(speed - (wx * sx + wy * sy + wz * sz), 0.0)
+    surplus = max(along - lack, 0.0)
+    return fx - surplus * sx, fy - surplus * sy, fz - surplus * sz
+
+
 @entry
 def control(own, neighbors, ranges, params, gains, actions):
     """Fill actions (R, 4) from the record rows own (R,), neighbors (R, M) and ranges (R, K)."""
@@ -153,8 +187,10 @@ def control(own, neighbors, ranges, params, gains, actions):
         cx, cy, cz, yaw_rate = maintain(me, neighbors[r], p, g)
         ox, oy, oz = repel(ranges[r], g)
         cx += excite(neighbors[r], p, g)
+        wx, wy, wz = cx + ox + sx, cy + oy + sy, cz + oz + sz
+        fx, fy, fz = up_to_stick(feed_forward(neighbors[r], g), (wx, wy, wz), (sx, sy, sz))
         # of the sum: the operator cannot outvote a part of it
-        vx, vy, vz = saturate(cx + ox + sx, cy + oy + sy, cz + oz + sz, p.speed_limit)
+        vx, vy, vz = saturate(wx + fx, wy + fy, wz + fz, p.speed_limit)
         actions[r, 0] = (vx - sx) / top  # the environment adds the stick again
         actions[r, 1] = (vy - sy) / top
         actions[r, 2] = (vz - sz) / top
