@@ -26,6 +26,12 @@ class NoYaw(Expert):
     overrides = {"relative_yaw": "none"}
 
 
+class Flooding(Expert):
+    """With lambda2 and v2 from the whole graph: robots pass on all link weights that they know of."""
+
+    overrides = {"lambda2": "flooding"}
+
+
 class Oracle(Expert):
     """With the true lambda2, v2 and relative yaws in place of the estimates."""
 

@@ -1,8 +1,9 @@
 """Write the generated tables of README.md and docs/*.md: `python docs/tables.py` (`--check` only looks).
 
 A table stands between `<!-- KIND:NAME -->` and `<!-- end -->`. KIND is `layout` (a table of `fovconn_env.layout`, or
-`layout:scales`, what the named bounds are), `settings` (fields of a settings class, with the comment beside each) or
-`bench` (rates, bars or machine of docs/benchmark.json, which `fovconn bench --json` writes).
+`layout:scales`, what the named bounds are), `settings` (fields of a settings class, with the comment beside each),
+`bench` (rates, bars or machine of docs/benchmark.json, which `fovconn bench --json` writes) or `results` and
+`ablations` (tables of docs/results.json and docs/ablations.json, which `make results` writes).
 """
 
 from __future__ import annotations
@@ -36,13 +37,14 @@ SCALES = {
     "age": "radio.memory + radio.delay * clock.tick / clock.rounds",
     "world": "1000",
 }
-_MARKED = re.compile(r"(<!-- (\w+):(\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+_MARKED = re.compile(r"(<!-- (\w+):([\w -]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 _FIELD = re.compile(r"^    (\w+): (.+?) = (.+?)(?:  # (.*))?$", re.MULTILINE)
 
 
 def rendered(text: str) -> str:
     """A page with its generated tables made anew."""
     kinds = {"layout": layout_table, "settings": settings_table, "bench": bench_table}
+    kinds |= {"results": results_table, "ablations": ablations_table}
     return _MARKED.sub(lambda found: f"{found[1]}\n{kinds[found[2]](found[3])}\n\n{found[4]}", text)
 
 
@@ -86,6 +88,27 @@ def bench_table(name: str) -> str:
     if name == "machine":
         return f"Measured {report['finished'][:10]} on {machine_line(report)}. {restless(report)}".rstrip()
     return _markdown(*{"rates": rate_table, "bars": bar_table}[name](report))
+
+
+def results_table(name: str) -> str:
+    """A table of the committed results, with its footnotes; or "run", a line of text."""
+    report = json.loads((ROOT / "docs" / "results.json").read_text("utf-8"))
+    if name == "run":
+        return _run_line(report)
+    table = report["tables"][name]
+    return "\n\n".join([_markdown(table["head"], table["rows"]), *table["notes"]])
+
+
+def ablations_table(name: str) -> str:
+    """The table of the committed ablations, or "run", a line of text."""
+    report = json.loads((ROOT / "docs" / "ablations.json").read_text("utf-8"))
+    return _run_line(report) if name == "run" else _markdown(report["head"], report["rows"])
+
+
+def _run_line(report: dict) -> str:
+    seeds, run = report["seeds"], report["run"]
+    versions = f"fovconn_env {report['fovconn_env']}, Python {run['python']}, numpy {run['numpy']}, numba {run['numba']}"
+    return f"Seeds {seeds[0]} to {seeds[-1]}, {run['finished'][:10]}, {versions}; {run['seconds']:.0f} s on {run['cores']} cores."
 
 
 def _vector(column: Column) -> tuple:
