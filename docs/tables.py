@@ -107,8 +107,10 @@ def ablations_table(name: str) -> str:
 
 def _run_line(report: dict) -> str:
     seeds, run = report["seeds"], report["run"]
-    versions = f"fovconn_env {report['fovconn_env']}, Python {run['python']}, numpy {run['numpy']}, numba {run['numba']}"
-    return f"Seeds {seeds[0]} to {seeds[-1]}, {run['finished'][:10]}, {versions}; {run['seconds']:.0f} s on {run['cores']} cores."
+    names = ("python", "numpy", "numba")
+    versions = ", ".join([f"fovconn_env {report['fovconn_env']}", *(f"{name} {run[name]}" for name in names)])
+    took = f"{run['seconds']:.0f} s on {run['cores']} cores"
+    return f"Seeds {seeds[0]} to {seeds[-1]}, {run['finished'][:10]}, {versions}; {took}."
 
 
 def _vector(column: Column) -> tuple:

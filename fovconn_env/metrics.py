@@ -8,6 +8,7 @@ import numpy as np
 
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.judge import OCCLUSION, OWN_VIEW, RANGE, lost_link
+from fovconn_env.kernel.lambda2_estimator import FLOODING
 from fovconn_env.simulator import Simulator
 
 WARM = 5.0  # s after the first motion from which the validity of yaw estimates counts
@@ -54,7 +55,7 @@ class Meter:
     def update(self) -> None:
         """Take in the step just made."""
         sim, s = self.simulator, self.simulator.state
-        facts = s.body, s.pair, s.track, s.belief, s.fiedler, s.info, s.episode, s.reward
+        facts = s.body, s.pair, s.track, s.belief, s.mode, s.fiedler, s.info, s.episode, s.reward
         _measure(*facts, self._sums, self._histograms, self._before, sim.params)
 
     def results(self) -> dict[str, np.ndarray]:
@@ -120,7 +121,7 @@ def quantile(counts: np.ndarray, share: float) -> float:
 
 
 @entry
-def _measure(body, pair, track, belief, fiedler, info, episode, reward, sums, histograms, before, params):
+def _measure(body, pair, track, belief, mode, fiedler, info, episode, reward, sums, histograms, before, params):
     p, n = params[0], body.shape[1]
     for b in range(body.shape[0]):
         s = sums[b]
@@ -135,7 +136,7 @@ def _measure(body, pair, track, belief, fiedler, info, episode, reward, sums, hi
         connected = lambda2 > p.lambda2_min
         if connected:
             s.connected += 1
-            _align(belief[b], fiedler[b], s)
+            _align(belief[b], mode[b], fiedler[b], s, p)
             for i in range(n):
                 histograms[b, 0, _bin(abs(belief[b, i].lambda2_hat - lambda2) / lambda2)] += 1
         elif math.isnan(s.first_loss):
@@ -184,16 +185,25 @@ def _count_links(pairs, before, s, p):
 
 
 @kernel
-def _align(beliefs, v2, s):
-    """Cosine between the robots' entries of v2 and the true one, and the mean of their lambda2_hat."""
-    n, along, square, hat = v2.shape[0], 0.0, 0.0, 0.0
+def _align(beliefs, modes, v2, s, p):
+    """Cosine between the robots' v2 and the true one, without sign, and the mean of their lambda2_hat.
+
+    With flooding each robot has a vector of its own (N,), and the mean of the cosines counts.
+    """
+    n, along, square, hat, aligned = v2.shape[0], 0.0, 0.0, 0.0, 0.0
     for i in range(n):
         along += beliefs[i].v2_hat * v2[i]
         square += beliefs[i].v2_hat ** 2
         hat += beliefs[i].lambda2_hat / n
-    s.aligned = abs(along) / math.sqrt(square) if square > 0.0 else 0.0
-    s.alignment += s.aligned
-    s.hat = hat
+        if p.lambda2 == FLOODING:
+            own = 0.0
+            for j in range(n):
+                own += modes[i, j] * v2[j]
+            aligned += abs(own) / n
+    if p.lambda2 != FLOODING:
+        aligned = abs(along) / math.sqrt(square) if square > 0.0 else 0.0
+    s.aligned, s.hat = aligned, hat
+    s.alignment += aligned
 
 
 @kernel

@@ -53,7 +53,7 @@ def bars(main: int, largest: int, rows: int) -> list[Bar]:
 
 def record(result: Result) -> dict[str, Any]:
     """Everything about a run that is worth keeping."""
-    from training.record import plain
+    from training.results import plain
 
     todo, memory = result.agenda, result.memory
     effort = todo.effort

@@ -25,7 +25,7 @@ import fovconn_env
 from baselines import POLICIES, find_policy
 from fovconn_env import PRESETS, Scenario
 from training.evaluation import Evaluation, fly, join, label
-from training.record import plain
+from training.results import plain
 
 DEV_SEEDS = range(320)  # frozen: development; a held-out set is kept apart
 SUITES = {"quick": DEV_SEEDS[:32], "full": DEV_SEEDS}  # all policies on all scenarios

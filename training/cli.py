@@ -24,7 +24,7 @@ from training.bench import GROUPS, INSTALLED, agenda, run
 from training.bench_cases import FULL, PEERS, QUICK
 from training.campaign import DEV_SEEDS, SUITES, Cell, Interrupted, fly_cells, parse_seeds, suite
 from training.evaluation import Evaluation, summary
-from training.record import to_json
+from training.results import to_json
 
 app = typer.Typer(
     no_args_is_help=True,
