@@ -11,15 +11,25 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from baselines.ablations import AllSeeing, BothLook, NoYaw, Omni, Oracle
+from baselines.ablations import AllSeeing, BothLook, Flooding, NoYaw, Omni, Oracle
+from baselines.augmented import Augmented
 from baselines.expert import Expert
 from baselines.policy import Policy, scenario_of
+from baselines.recovery import Recovery
+from baselines.simple import Follow, Random, Springs, Zero
 
 POLICIES: dict[str, type[Policy]] = {
-    "expert": Expert,
+    "zero": Zero,
+    "random": Random,
+    "follow": Follow,
+    "springs": Springs,
     "omni": Omni,
     "both-look": BothLook,
     "expert-no-yaw": NoYaw,
+    "expert": Expert,
+    "expert-flooding": Flooding,
+    "augmented": Augmented,
+    "recovery": Recovery,
     "oracle": Oracle,
     "oracle-all-seeing": AllSeeing,
 }
