@@ -2,8 +2,9 @@
 
     {"fovconn": {scenario: {policy: {"run_0": {"step_0": {...}, "absolute_metrics": {metric: [values]}}}}}}
 
-Read with id-marl-eval 0.0.4 and rliable 1.2.0 (numpy 2.4, pandas 3.1): `DiagnoseData.check_data`,
-`data_process_pipeline`, `create_matrices_for_rliable`, and all plots of absolute metrics.
+Read with id-marl-eval 0.0.4 (rliable 1.2.0, arch 7.2.0, pandas 2.3.3, numpy 2.4.6): `DiagnoseData.check_data` finds the
+format valid; `data_process_pipeline`, `create_matrices_for_rliable`, profiles, aggregate scores and the probability of
+improvement run.
 
 marl-eval compares runs of training. A scripted policy, or one trained once, has none: its runs are blocks of equally
 many seeds, so the intervals that marl-eval draws are those between blocks, of one policy. For the same reason there
@@ -35,9 +36,10 @@ MOST_RUNS = 10
 def to_marl_eval(evaluations: Sequence[Evaluation]) -> dict[str, Any]:
     """What marl-eval reads, ready for JSON: the policies that flew every scenario.
 
-    There are as many runs as the greatest number up to `MOST_RUNS` that divides all numbers of seeds. A metric that
-    some episode lacks, such as progress on a scenario without a stick, is left out everywhere: marl-eval wants the
-    same ones of all tasks. Raises `ValueError` for labels that it cannot tell apart.
+    There are as many runs as the greatest number up to `MOST_RUNS` that divides all numbers of seeds. Episodes without
+    a metric are left out of its list; a metric that a whole run lacks, such as progress on a scenario without a stick,
+    is left out everywhere: marl-eval wants the same ones of all tasks. Raises `ValueError` for labels that it cannot
+    tell apart.
     """
     scenarios = list(dict.fromkeys(found.scenario.name for found in evaluations))
     cells = {(found.scenario.name, found.policy): found for found in evaluations}
@@ -45,9 +47,9 @@ def to_marl_eval(evaluations: Sequence[Evaluation]) -> dict[str, Any]:
     policies = [label for label in labels if all((name, label) in cells for name in scenarios)]
     _check(policies)
     chosen = [cells[name, policy] for name in scenarios for policy in policies]
-    metrics = [kind for kind in METRICS if all(np.isfinite(found.episodes[kind]).all() for found in chosen)]
     count = math.gcd(*(len(found.seeds) for found in chosen))
     runs = max((k for k in range(1, MOST_RUNS + 1) if count % k == 0), default=1)
+    metrics = [kind for kind in METRICS if all(all(_blocks(found, kind, runs)) for found in chosen)]
     tasks = {name: {policy: _runs(cells[name, policy], metrics, runs) for policy in policies} for name in scenarios}
     return {ENVIRONMENT: tasks}
 
@@ -62,11 +64,16 @@ def _check(policies: Sequence[str]) -> None:
             raise ValueError(f"policy labels must differ in more than case for marl-eval, got {other!r} and {policy!r}")
 
 
+def _blocks(found: Evaluation, metric: str, runs: int) -> list[list[float]]:
+    """A metric's values in blocks of consecutive seeds, without NaN."""
+    return [block[np.isfinite(block)].tolist() for block in np.reshape(found.episodes[metric], (runs, -1))]
+
+
 def _runs(found: Evaluation, metrics: Sequence[str], runs: int) -> dict[str, Any]:
-    """Blocks of consecutive seeds as runs."""
-    blocks = {kind: np.reshape(found.episodes[kind], (runs, -1)).tolist() for kind in metrics}
+    """The blocks as runs."""
+    blocks = {metric: _blocks(found, metric, runs) for metric in metrics}
     result = {}
     for k in range(runs):
-        values = {kind: blocks[kind][k] for kind in metrics}
+        values = {metric: blocks[metric][k] for metric in metrics}
         result[f"run_{k}"] = {"step_0": {"step_count": 0, **values}, "absolute_metrics": values}
     return result
