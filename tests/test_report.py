@@ -231,7 +231,8 @@ class Page(HTMLParser):
 def written(flown, tmp_path_factory):
     """Folder and files of a report on made-up policies."""
     folder = tmp_path_factory.mktemp("report")
-    return folder, write_report([fake(flown[name], p, SEEDS) for name in flown for p in POLICIES], folder, HEAD, NOTES)
+    evaluations = [fake(flown[name], policy, SEEDS) for name in flown for policy in POLICIES]
+    return folder, write_report(compare(evaluations, NOTES), folder, HEAD)
 
 
 def test_files(written):
@@ -274,7 +275,7 @@ def test_markdown(written):
 
 def test_the_same_again(written, team, tmp_path):
     """Byte for byte, in another folder too."""
-    for old, new in zip(written[1], write_report(team(), tmp_path, HEAD, NOTES), strict=True):
+    for old, new in zip(written[1], write_report(compare(team(), NOTES), tmp_path, HEAD), strict=True):
         assert old.read_bytes() == new.read_bytes(), new.name
 
 
@@ -284,7 +285,7 @@ def test_the_same_again(written, team, tmp_path):
     ids=["one policy, one episode", "the expert alone", "no expert", "sixteen"],
 )
 def test_reports_on_less_and_on_more(team, policies, seeds, tmp_path):
-    files = write_report(team(policies, seeds, ("Regroup-v0",)), tmp_path, {})
+    files = write_report(compare(team(policies, seeds, ("Regroup-v0",))), tmp_path, {})
     assert (
         "Regroup-v0_differences.png" in {file.name for file in files}
         or policies[0] != POLICIES[0]
@@ -295,7 +296,7 @@ def test_reports_on_less_and_on_more(team, policies, seeds, tmp_path):
 
 
 def test_evaluations_as_they_come(flown, tmp_path):
-    assert len(write_report(list(flown.values()), tmp_path, HEAD)) == 2 + 3 * 2  # nothing to be different from
+    assert len(write_report(compare(list(flown.values())), tmp_path, HEAD)) == 2 + 3 * 2  # nothing to be different from
 
 
 def test_links_lead_to_the_definitions(team, tmp_path, monkeypatch):
@@ -306,7 +307,7 @@ def test_links_lead_to_the_definitions(team, tmp_path, monkeypatch):
     for path in (folder, tmp_path / "docs"):
         path.mkdir(parents=True)
     (tmp_path / "docs" / "metrics.md").touch()
-    files = write_report(team(("omni",), names=("Regroup-v0",)), folder, {})
+    files = write_report(compare(team(("omni",), names=("Regroup-v0",))), folder, {})
     assert "[docs/metrics.md](../../docs/metrics.md)" in files[0].read_text("utf-8")
     assert 'href="../../docs/metrics.md"' in files[1].read_text("utf-8")
 

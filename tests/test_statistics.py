@@ -100,7 +100,8 @@ def test_strata_are_resampled_for_themselves():
 
 def test_nothing_and_one():
     empty, one = np.array([NAN]), np.array([2.0])
-    for found in (paired_mean_difference(empty, one), iqm([empty]), iqm([]), improvement([empty], [one])):
+    lost = improvement([empty], [one]), improvement([one], [empty])
+    for found in (paired_mean_difference(empty, one), iqm([empty]), iqm([]), *lost):
         assert same(found, NOTHING)
     for found, value in ((paired_mean_difference(one, one), 0.0), (iqm([one]), 2.0), (improvement([one], [one]), 0.5)):
         assert same(found, [value, NAN, NAN])

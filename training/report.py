@@ -17,7 +17,6 @@ from training.comparison import (
     EXPERT,
     Comparison,
     Table,
-    compare,
     difference_table,
     estimator_table,
     figures,
@@ -25,7 +24,6 @@ from training.comparison import (
     overall_table,
     scenario_table,
 )
-from training.evaluation import Evaluation
 from training.report_plot import Picture, draw
 
 TITLE = "fovconn benchmark"
@@ -76,18 +74,11 @@ class Section(NamedTuple):
         return re.sub(r"[^a-z0-9-]+", "-", self.title.lower()).strip("-")
 
 
-def write_report(
-    evaluations: Sequence[Evaluation],
-    folder: Path,
-    head: Mapping[str, str],
-    notes: Mapping[str, str] | None = None,
-) -> list[Path]:
+def write_report(comparison: Comparison, folder: Path, head: Mapping[str, str]) -> list[Path]:
     """Write report.md, report.html and plots/*.png into a folder, which must be there; returns the files.
 
-    head: what was run, by name, for the top: seeds, versions, date, settings. notes: footnotes by policy, see
-    `compare`. The same arguments write the same bytes. Raises `ValueError` as `compare` does.
+    head: what was run, by name, for the top: seeds, versions, date, settings. The same arguments write the same bytes.
     """
-    comparison = compare(evaluations, notes)
     plots = folder / "plots"
     plots.mkdir(exist_ok=True)
     sections = [_overview(comparison), *(_scenario(comparison, name, plots) for name in comparison.scenarios)]
