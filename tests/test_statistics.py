@@ -82,6 +82,7 @@ def test_improvement():
     assert improvement([a], [b]).value == 0.375
     assert improvement([a, np.full(3, 5.0)], [b, np.zeros(3)]).value == 0.6875
     assert improvement([b], [a]).value == 0.625
+    assert improvement([np.array([1.0, NAN, 2.0, 7.0])], [np.array([1.0, 5.0, 3.0, NAN])]).value == 0.375
 
 
 def test_a_policy_is_no_better_than_itself():
