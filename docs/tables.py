@@ -96,7 +96,8 @@ def results_table(name: str) -> str:
     if name == "run":
         return _run_line(report)
     table = report["tables"][name]
-    return "\n\n".join([_markdown(table["head"], table["rows"]), *table["notes"]])
+    notes = [note for note in report["footnotes"] if any(note[0] in row[0] for row in table["rows"])]
+    return "\n\n".join([_markdown(table["head"], table["rows"]), *notes])
 
 
 def ablations_table(name: str) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.judge import OCCLUSION, OWN_VIEW, RANGE, lost_link
 from fovconn_env.kernel.lambda2_estimator import FLOODING
+from fovconn_env.scenarios import Scenario
 from fovconn_env.simulator import Simulator
 
 WARM = 5.0  # s after the first motion from which the validity of yaw estimates counts
@@ -65,6 +66,7 @@ class Meter:
         duration, pairs = steps * scenario.step_time, n * (n - 1) / 2
         mutual, one_way = (self._histograms[:, k].sum(-1) for k in (1, 2))
         return {
+            "sct": episode["success"] * np.minimum(ideal_time(scenario) / duration, 1.0),
             "never_disconnected": np.isnan(sums["first_loss"]).astype(float),
             "success": episode["success"].astype(float),
             "collision": episode["collision"].astype(float),
@@ -98,6 +100,15 @@ class Meter:
     def histograms(self) -> np.ndarray:
         """Counts of estimator errors, (B, len(ERRORS), N_BINS), over all robots and steps so far; see `bin_edges`."""
         return self._histograms.copy()
+
+
+def ideal_time(scenario: Scenario) -> float:
+    """Time to the goal, s, of a leader that flies as fast as it is pulled; without one, of a goal held at once."""
+    course = scenario.course
+    if scenario.leader == "none":
+        return course.goal_hold
+    speed = min(scenario.stick_speed, scenario.speed_limit)
+    return course.settle + course.pause * (course.legs - 1) + (course.legs * course.leg - course.goal_radius) / speed
 
 
 def bin_edges() -> np.ndarray:

@@ -71,6 +71,7 @@ def fake(model, policy, seeds):
         "split_lambda2_hat": np.where(kept == 1.0, math.nan, rng.random(count)),
         "split_alignment": np.where(kept == 1.0, math.nan, rng.random(count)),
         "progress": rng.random(count) if model.scenario.leader == "waypoints" else np.full(count, math.nan),
+        "sct": kept * rng.random(count),
         "return": 50.0 * kept + rng.normal(size=count),
     }
     return model._replace(
@@ -107,12 +108,12 @@ def test_results_are_what_the_episodes_say(team):
     assert result.collisions == own["collision"].sum()
     assert result.success_difference == paired_share_difference(own["success"], expert["success"])
     assert result.progress_difference.value == pytest.approx(np.nanmean(own["progress"] - expert["progress"]))
-    zero, one = random["return"].mean(), expert["return"].mean()
-    scores = (own["return"] - zero) / (one - zero)
+    zero, one = random["sct"].mean(), expert["sct"].mean()
+    scores = (own["sct"] - zero) / (one - zero)
     assert result.scores is not None
     np.testing.assert_allclose(result.scores, scores)
     assert result.score.value == pytest.approx(stats.trim_mean(scores, 0.25))
-    pairs = [(a > b) + 0.5 * (a == b) for a in own["return"] for b in expert["return"]]
+    pairs = [(a > b) + 0.5 * (a == b) for a in own["sct"] for b in expert["sct"]]
     assert result.better.value == pytest.approx(np.mean(pairs))
     assert comparison.results["LeaderFollow-v0", "expert"].scores.mean() == pytest.approx(1.0)
     assert comparison.results["LeaderFollow-v0", "random"].scores.mean() == pytest.approx(0.0)
@@ -331,7 +332,7 @@ def test_marl_eval(team):
             values = [value for run in runs.values() for value in run["absolute_metrics"]["return"]]
             assert values == of(evaluations, policy, task)["return"].tolist()
             for run in runs.values():
-                assert list(run["absolute_metrics"]) == ["return", "success", "never_disconnected"]
+                assert list(run["absolute_metrics"]) == ["return", "sct", "success", "never_disconnected"]
                 assert run["step_0"] == {"step_count": 0, **run["absolute_metrics"]}
 
 

@@ -231,9 +231,9 @@ class Shelf:
         if file is None or evaluation is None:
             return
         part = file.with_suffix(".part.npz")
-        np.savez_compressed(
-            part, **evaluation.episodes, seeds=np.array(evaluation.seeds), histograms=evaluation.histograms
-        )
+        arrays: dict[str, Any] = {"seeds": np.array(evaluation.seeds), "histograms": evaluation.histograms}
+        arrays |= evaluation.episodes
+        np.savez_compressed(part, **arrays)
         part.replace(file)
 
     def _file(self, cell: Cell) -> Path | None:

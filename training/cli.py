@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import ast
 import json
+import os
+import re
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,8 +25,9 @@ from fovconn_env import PRESETS, Scenario, scenario
 from training.bench import GROUPS, INSTALLED, agenda, run
 from training.bench_cases import FULL, PEERS, QUICK
 from training.campaign import DEV_SEEDS, SUITES, Cell, Interrupted, fly_cells, parse_seeds, suite
+from training.comparison import Comparison, overall_table, scenario_table
 from training.evaluation import Evaluation, summary
-from training.results import to_json
+from training.results import publish, short, write_json
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -33,7 +36,8 @@ app = typer.Typer(
     help="Robots that see only what is in front of them, kept together: fly them, measure them.",
 )
 OUT = Path("out")
-out = Console()
+# a pipe has no width; rich would take 80 letters, too few for the tables
+out = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else 120)
 err = Console(stderr=True)
 
 ScenarioName = Annotated[str, typer.Option("--scenario", help="Scenario id: " + ", ".join(PRESETS))]
@@ -102,17 +106,29 @@ def evaluate_command(
     _check_folder(folder)
     _check_writable({"--record": record_file})
     results, seconds = _fly(cells, numbers, folder, processes, fresh)
-    for result in results:
-        out.print(_table(result))
-    written = _publish(results, chosen, folder, seconds)
-    out.print("wrote " + ", ".join(str(file) for file in written), highlight=False, soft_wrap=True)
+    with err.status("writing the report"):
+        found = publish(results, chosen, folder, seconds)
+    _show(found.comparison)
+    written = found.files + ([write_json(record_file, short(found.record))] if record_file is not None else [])
+    main = [file for file in written if file.suffix != ".png"]
+    out.print("wrote " + ", ".join(str(file) for file in main), highlight=False, soft_wrap=True)
+    if not any(file.suffix == ".html" for file in written):
+        out.print('no report: it needs matplotlib, pip install "fovconn-env[demo]"', style="yellow", markup=False)
 
 
-def _publish(results: Sequence[Evaluation], policies: Sequence[str], folder: Path, seconds: float) -> list[Path]:
-    """Write what was found into the folder; returns the files."""
-    record = folder / "results.json"
-    record.write_text(json.dumps(to_json(results, policies, seconds), indent=1) + "\n", "utf-8")
-    return [record]
+def _show(comparison: Comparison) -> None:
+    """Tables of what was flown: in full for one policy on one scenario, else side by side."""
+    if len(comparison.results) == 1:
+        out.print(_table(next(iter(comparison.results.values())).evaluation))
+        return
+    for name in comparison.scenarios:
+        count = len(next(iter(comparison.on(name).values())).evaluation.seeds)
+        out.print(_grid(*_fitting(f"{name}, {count} seeds", *scenario_table(comparison, name))))
+        out.print()
+    if len(comparison.scenarios) > 1:
+        out.print(_grid("over all scenarios", *overall_table(comparison)))
+    for note in comparison.footnotes:
+        out.print(note, highlight=False, markup=False)
 
 
 @app.command()
@@ -224,8 +240,8 @@ def figures(
     head, rows = studies.rows(found)
     out.print(_grid(f"ablations on {studies.BASE}, {len(numbers)} seeds", head, rows))
     written = [draw_ablations(found, folder / "ablations.png", f"{studies.BASE}, seeds {seeds}, 95 % intervals")]
-    written += [_write_json(folder / "ablations.json", report)]
-    written += [_write_json(record_file, report)] if record_file is not None else []
+    written += [write_json(folder / "ablations.json", report)]
+    written += [write_json(record_file, report)] if record_file is not None else []
     out.print("wrote " + ", ".join(str(file) for file in written), highlight=False, soft_wrap=True)
 
 
@@ -253,11 +269,6 @@ def _fly(
 def _check_folder(folder: Path) -> None:
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"--out must name a folder, got {str(folder)!r}: it is a file")
-
-
-def _write_json(file: Path, report: dict[str, Any]) -> Path:
-    file.write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n", "utf-8")
-    return file
 
 
 @contextmanager
@@ -319,6 +330,15 @@ def _table(result: Evaluation) -> Table:
         shown = " / ".join("-" if value != value else format(value, form) for value in values)
         table.add_row(label, shown, interval)
     return table
+
+
+def _fitting(title: str, head: list[str], rows: list[list[str]]) -> tuple[str, list[str], list[list[str]]]:
+    """A table, without its intervals where the terminal is too narrow for them."""
+    widths = [max(len(cell) for cell in column) for column in zip(head, *rows, strict=True)]
+    if sum(widths) + 2 * len(widths) <= out.width:
+        return f"{title}, [95 % intervals]", head, rows
+    bare = [[re.sub(r" \[.*\]", "", cell) for cell in row] for row in rows]
+    return f"{title}; a wider terminal shows 95 % intervals", head, bare
 
 
 def _grid(title: str, head: list[str], rows: list[list[str]]) -> Table:

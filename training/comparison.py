@@ -19,6 +19,7 @@ from training.statistics import (
 )
 
 EXPERT, RANDOM = "expert", "random"  # labels of the policies with scores of 1 and 0
+MERIT = "sct"  # the measure that scores are made of; the return pays more for a longer flight
 MARKS = "†‡§¶"
 Table = tuple[list[str], list[list[str]]]  # head, rows
 
@@ -34,9 +35,9 @@ class Result(NamedTuple):
     kept_difference: Estimate  # to the expert on the same seeds
     success_difference: Estimate
     progress_difference: Estimate
-    scores: np.ndarray | None  # (E,) returns, 0 for random's mean and 1 for the expert's
+    scores: np.ndarray | None  # (E,) of MERIT, 0 for random's mean and 1 for the expert's
     score: Estimate  # their interquartile mean
-    better: Estimate  # probability of improvement over the expert, of the return
+    better: Estimate  # probability of improvement over the expert, of MERIT
 
 
 class Overall(NamedTuple):
@@ -112,8 +113,8 @@ def _result(found: Evaluation, there: Mapping[str, Evaluation]) -> Result:
         kept = paired_share_difference(own["never_disconnected"], expert.episodes["never_disconnected"])
         success = paired_share_difference(own["success"], expert.episodes["success"])
         progress = paired_mean_difference(own["progress"], expert.episodes["progress"])
-        better = improvement([own["return"]], [expert.episodes["return"]])
-    scores = normalised(own["return"], expert, random)
+        better = improvement([own[MERIT]], [expert.episodes[MERIT]])
+    scores = normalised(own[MERIT], expert, random)
     return Result(
         found,
         numbers,
@@ -129,15 +130,15 @@ def _result(found: Evaluation, there: Mapping[str, Evaluation]) -> Result:
     )
 
 
-def normalised(returns: np.ndarray, expert: Evaluation | None, random: Evaluation | None) -> np.ndarray | None:
-    """(x - random) / (expert - random) with the mean returns of those two, not clipped; x (E,).
+def normalised(values: np.ndarray, expert: Evaluation | None, random: Evaluation | None) -> np.ndarray | None:
+    """(x - random) / (expert - random) with the means of those two, not clipped; x (E,).
 
     None if one of them is missing, or the expert earned no more than random did.
     """
     if expert is None or random is None:
         return None
-    zero, one = float(random.episodes["return"].mean()), float(expert.episodes["return"].mean())
-    return (returns - zero) / (one - zero) if one > zero else None
+    zero, one = float(random.episodes[MERIT].mean()), float(expert.episodes[MERIT].mean())
+    return (values - zero) / (one - zero) if one > zero else None
 
 
 def _overall(policy: str, own: Sequence[Result], results: Mapping[tuple[str, str], Result]) -> Overall:
@@ -145,8 +146,8 @@ def _overall(policy: str, own: Sequence[Result], results: Mapping[tuple[str, str
     scores = [result.scores for result in own if result.scores is not None]
     better = NOTHING
     if policy != EXPERT and all((name, EXPERT) in results for name in names):
-        experts = [results[name, EXPERT].evaluation.episodes["return"] for name in names]
-        better = improvement([result.evaluation.episodes["return"] for result in own], experts)
+        experts = [results[name, EXPERT].evaluation.episodes[MERIT] for name in names]
+        better = improvement([result.evaluation.episodes[MERIT] for result in own], experts)
     return Overall(
         policy,
         iqm(scores) if len(scores) == len(own) else NOTHING,

@@ -29,7 +29,7 @@ import numpy as np
 from training.evaluation import Evaluation
 
 ENVIRONMENT = "fovconn"
-METRICS = ("return", "success", "never_disconnected", "progress")
+METRICS = ("return", "sct", "success", "never_disconnected", "progress")
 MOST_RUNS = 10
 
 

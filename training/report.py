@@ -39,9 +39,10 @@ TERMS = (
     ("progress", "leader's speed along the stick over the speed asked for, mean over episodes; none without a stick"),
     (
         "score IQM",
-        "interquartile mean of (return - random's) / (expert's - random's), by their mean returns; not clipped",
+        "interquartile mean of (x - random's) / (expert's - random's), by their means, not clipped; x is success "
+        "weighted by completion time (`sct`)",
     ),
-    ("> expert", "probability that an episode's return is above one of the expert's, ties count half"),
+    ("> expert", "probability that an episode's x is above that of one of the expert's, ties count half"),
     ("lambda2 error", "|lambda2_hat - lambda2| / lambda2 while connected, over all robots and steps"),
     ("yaw rms", "root mean square of sin(error / 2) of relative yaws, by who sees whom"),
     ("B/s", "bytes a robot sends in a second"),

@@ -19,16 +19,15 @@ from matplotlib.ticker import MaxNLocator, NullLocator, PercentFormatter
 
 from fovconn_env.metrics import ERRORS, SPLIT_CAUSE, bin_edges
 from fovconn_env.render.style import DARK, FAINT, FOLLOWERS, LEADER, RC, page, save
-from training.comparison import EXPERT, Comparison, Result
+from training.comparison import EXPERT, MERIT, Comparison, Result
 from training.statistics import survival
 
 WIDTH = 7.5  # inches, 1200 pixels
 ROW = 0.27  # inches of a policy in bar charts and forests
 CAUSES = {"range": "#0072B2", "field of view": "#E69F00", "occlusion": "#CC79A7", "weak links": "#C9C5BE"}
 MEASURES = {
-    "score": "score: 0 random's mean return, 1 the expert's",
-    "progress": "leader's progress",
-    "return": "return",
+    "score": "score: 0 random's mean, 1 the expert's",
+    "sct": "success weighted by completion time",
 }
 
 
@@ -195,16 +194,11 @@ def draw_errors(results: Mapping[str, Result], names: Mapping[str, str], look: M
 
 # ------------------------------------------------------------------------------------------------------------ parts
 def _profile(results: Mapping[str, Result]) -> tuple[str, dict[str, np.ndarray]]:
-    """What the profile is of, and its values by policy: scores, else progress, else returns."""
+    """What the profile is of, and its values by policy: scores, else what they are made of."""
     scores = {policy: result.scores for policy, result in results.items() if result.scores is not None}
     if scores:
         return "score", scores
-    for kind in ("progress", "return"):
-        found = {policy: result.evaluation.episodes[kind] for policy, result in results.items()}
-        found = {policy: values[np.isfinite(values)] for policy, values in found.items()}
-        if all(values.size for values in found.values()):
-            break
-    return kind, found
+    return MERIT, {policy: result.evaluation.episodes[MERIT] for policy, result in results.items()}
 
 
 def _with_legend(

@@ -3,30 +3,53 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
+import json
 import math
 import os
 import platform
 import time
 from collections.abc import Sequence
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 
 import fovconn_env
 from baselines import find_policy
-from fovconn_env import Map
+from fovconn_env import PRESETS, Map, Scenario
 from fovconn_env.metrics import ERRORS, bin_edges
+from training.comparison import (
+    Comparison,
+    Table,
+    compare,
+    difference_table,
+    estimator_table,
+    overall_table,
+    scenario_table,
+)
 from training.evaluation import Evaluation, label, summary
+from training.marl_eval import to_marl_eval
 
+SAMPLE = 4  # episodes of each evaluation in a short record
 FORMAT = 1  # of the record; a change of its structure counts it up
 
 
-def to_json(evaluations: Sequence[Evaluation], policies: Sequence[str], seconds: float) -> dict[str, Any]:
+class Published(NamedTuple):
+    """What was made of a campaign."""
+
+    comparison: Comparison
+    record: dict[str, Any]
+    files: list[Path]
+
+
+def to_json(comparison: Comparison, policies: Sequence[str], seconds: float) -> dict[str, Any]:
     """The record of a campaign; `run` is the only part that differs between two runs of the same code.
 
     policies: as `find_policy` takes them, of these evaluations.
     """
+    evaluations = [result.evaluation for result in comparison.results.values()]
     seeds = evaluations[0].seeds
     return {
         "format": FORMAT,
@@ -34,6 +57,8 @@ def to_json(evaluations: Sequence[Evaluation], policies: Sequence[str], seconds:
         "seeds": seeds,
         "policies": {label(policy): about(policy) for policy in policies},
         "scenarios": {item.scenario.name: plain(item.scenario) for item in evaluations},
+        "tables": {name: {"head": head, "rows": rows} for name, (head, rows) in tables(comparison).items()},
+        "footnotes": comparison.footnotes,
         "histogram_bins": bin_edges().tolist(),
         "evaluations": [
             {
@@ -47,6 +72,79 @@ def to_json(evaluations: Sequence[Evaluation], policies: Sequence[str], seconds:
         ],
         "run": run_block(seconds),
     }
+
+
+def tables(comparison: Comparison) -> dict[str, Table]:
+    """All tables by name: "overall", and of each scenario its results, differences and estimators."""
+    found = {"overall": overall_table(comparison)}
+    for name in comparison.scenarios:
+        found[name] = scenario_table(comparison, name)
+        found[f"{name} differences"] = difference_table(comparison, name)
+        found[f"{name} estimators"] = estimator_table(comparison, name)
+    return found
+
+
+def short(record: dict[str, Any]) -> dict[str, Any]:
+    """A record for the repository: summaries, tables, and the first episodes alone."""
+    shown = ("policy", "scenario", "summary")
+    kept = [
+        {name: item[name] for name in shown}
+        | {"episodes": {name: values[:SAMPLE] for name, values in item["episodes"].items()}}
+        for item in record["evaluations"]
+    ]
+    return {name: value for name, value in record.items() if name != "histogram_bins"} | {"evaluations": kept}
+
+
+def publish(results: Sequence[Evaluation], policies: Sequence[str], folder: Path, seconds: float) -> Published:
+    """Write results.json, marl-eval.json and the report into a folder; returns also what there is to print."""
+    kinds = {label(policy): find_policy(policy) for policy in policies}
+    notes = {name: "an oracle: its robots know more than they can" for name, kind in kinds.items() if kind.oracle}
+    comparison = compare(results, notes)
+    record = to_json(comparison, policies, seconds)
+    files = [write_json(folder / "results.json", record), write_json(folder / "marl-eval.json", to_marl_eval(results))]
+    if importlib.util.find_spec("matplotlib") is not None:
+        from training.report import write_report
+
+        files += write_report(comparison, folder, _head(record, results))
+    return Published(comparison, record, files)
+
+
+def write_json(file: Path, record: dict[str, Any]) -> Path:
+    """Write a record to a file and return it."""
+    file.write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n", "utf-8")
+    return file
+
+
+def _head(record: dict[str, Any], results: Sequence[Evaluation]) -> dict[str, str]:
+    """What the report says at its top."""
+    seeds, run = record["seeds"], record["run"]
+    spread = f"{min(seeds)} to {max(seeds)}" if len(seeds) > 1 else f"{seeds[0]}"
+    changed = {
+        f"{name}: " + ", ".join(f"{key}={value!r}" for key, value in differences(scenario).items())
+        for name, scenario in {item.scenario.name: item.scenario for item in results}.items()
+        if differences(scenario)
+    }
+    return {
+        "seeds": f"{spread} ({len(seeds)})",
+        "settings": "; ".join(sorted(changed)) or "the presets'",
+        "versions": f"fovconn_env {record['fovconn_env']}, Python {run['python']}, numpy {run['numpy']}, "
+        f"numba {run['numba']}",
+        "flown": run["finished"],
+    }
+
+
+def differences(scenario: Scenario) -> dict[str, Any]:
+    """Settings by dotted name in which a scenario differs from the preset of its name."""
+    preset, found = PRESETS.get(scenario.name, Scenario()), {}
+    for item in dataclasses.fields(Scenario):
+        value, usual = getattr(scenario, item.name), getattr(preset, item.name)
+        if dataclasses.is_dataclass(value) and type(value) is type(usual):
+            for inner in dataclasses.fields(value):
+                if getattr(value, inner.name) != getattr(usual, inner.name):
+                    found[f"{item.name}.{inner.name}"] = getattr(value, inner.name)
+        elif plain(value) != plain(usual):
+            found[item.name] = value
+    return found
 
 
 def run_block(seconds: float) -> dict[str, Any]:

@@ -42,8 +42,9 @@ def entry(function: Callable[P, R]) -> Callable[P, R]:
                 return function(*args, **kwargs)
 
         return plain
-    # numba looks only at the file of the function itself: a folder named by the hash of every kernel source makes
-    # an edit elsewhere visible. The folder is read while decorating, so the user's own setting is put back.
+    # numba looks only at the file of the function itself: a folder named by the hash of every kernel source, and of
+    # the files beside it, makes an edit elsewhere visible. The folder is read while decorating, so the user's own
+    # setting is put back.
     before, config.CACHE_DIR = config.CACHE_DIR, str(_cache_folder(Path(inspect.getfile(function))))
     try:
         return cast("Callable[P, R]", numba.njit(function, cache=True, nogil=True, **_OPTIONS))
@@ -55,6 +56,6 @@ def _cache_folder(source: Path) -> Path:
     root = Path(config.CACHE_DIR) if config.CACHE_DIR else Path(platformdirs.user_cache_dir("fovconn_env"))
     layout = Path(__file__).parents[1] / "layout.py"
     digest = hashlib.sha256()
-    for file in (*_SOURCES, layout, source):
+    for file in (*_SOURCES, layout, *sorted(source.parent.glob("*.py"))):
         digest.update(file.read_bytes())
     return root / digest.hexdigest()[:16]
