@@ -9,6 +9,7 @@ import numpy as np
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.judge import OCCLUSION, OWN_VIEW, RANGE, lost_link
 from fovconn_env.kernel.lambda2_estimator import FLOODING
+from fovconn_env.kernel.weights import range_weight
 from fovconn_env.scenarios import Scenario
 from fovconn_env.simulator import Simulator
 
@@ -18,10 +19,10 @@ MOVING = 0.05  # m/s, a robot that is faster moves
 ERRORS = ("lambda2", "yaw_mutual", "yaw_one_way")  # what the histograms count
 BINS_PER_DECADE, DECADES, LOWEST = 20, 8, 1e-6
 N_BINS = BINS_PER_DECADE * DECADES + 2  # the first: below LOWEST, the last: from 100 on
-SPLIT_CAUSE = ("none", "range", "field of view", "occlusion", "weak links")  # of the split: its strongest lost link
+SPLIT_CAUSE = ("none", "range", "field of view", "occlusion")
 
 _CAUSES = ("range", "view", "occlusion")
-BY_OCCLUSION, WEAK = 3, 4  # SPLIT_CAUSE; the others are the judge's
+BY_OCCLUSION = 3  # SPLIT_CAUSE; the others are the judge's
 _METER = np.dtype(
     (
         np.record,
@@ -151,7 +152,7 @@ def _measure(body, pair, track, belief, mode, fiedler, info, episode, reward, su
             for i in range(n):
                 histograms[b, 0, _bin(abs(belief[b, i].lambda2_hat - lambda2) / lambda2)] += 1
         elif math.isnan(s.first_loss):
-            s.first_loss, s.split_cause = now, cause
+            s.first_loss, s.split_cause = now, cause if cause > 0 else _weakness(pair[b], fiedler[b], p)
             s.split_alignment, s.split_hat = s.aligned, s.hat  # of the last step before it
         _count_yaws(body[b], pair[b], track[b], s, histograms[b], now >= s.moved_at + WARM)
         s.open = 0 if episode[b].over else 1
@@ -176,8 +177,8 @@ def _count_motion(bodies, rewards, infos, s, now, p):
 
 @kernel
 def _count_links(pairs, before, s, p):
-    """Count lost links and kinds of sight; returns why the strongest lost link was lost, see SPLIT_CAUSE."""
-    n, strongest, cause = pairs.shape[0], 0.0, WEAK
+    """Count lost links and kinds of sight; returns why the strongest lost one was lost, see SPLIT_CAUSE."""
+    n, strongest, cause = pairs.shape[0], 0.0, 0
     for i in range(n):
         for j in range(i + 1, n):
             ij, ji = pairs[i, j], pairs[j, i]
@@ -192,6 +193,18 @@ def _count_links(pairs, before, s, p):
             before[i, j] = ij.weight
             s.mutual += ij.seen and ji.seen
             s.one_way += ij.seen != ji.seen
+    return cause
+
+
+@kernel
+def _weakness(pairs, v2, p):
+    """What makes the strongest link between the two sides of v2 weak: the distance or the field of view."""
+    n, strongest, cause = pairs.shape[0], -1.0, 0
+    for i in range(n):
+        for j in range(i + 1, n):
+            if (v2[i] > 0.0) != (v2[j] > 0.0) and pairs[i, j].weight > strongest:
+                strongest, gamma = pairs[i, j].weight, range_weight(pairs[i, j].distance, p)
+                cause = RANGE if gamma * gamma <= strongest else OWN_VIEW  # the weight is gamma times the view's
     return cause
 
 

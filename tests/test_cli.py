@@ -21,7 +21,7 @@ from training import cli
 from training.evaluation import evaluate, summary
 
 ROOT = Path(__file__).parents[1]
-COMMANDS = ("eval", "demo", "bench")
+COMMANDS = {"eval": "--scenario", "demo": "--scenario", "bench": "--scenario", "figures": "--ablations"}
 TINY = ("--set", "n_agents=3", "--set", "max_cycles=40", "--set", "warmup=0.5")
 
 
@@ -30,12 +30,12 @@ def test_help_and_version(fovconn):
     top = fovconn("--help")
     assert top.status == 0
     assert {command.name or command.callback.__name__ for command in cli.app.registered_commands} == set(COMMANDS)
-    for command in COMMANDS:
+    for command, option in COMMANDS.items():
         assert command in top.out
         shown = fovconn(command, "--help")
         assert shown.status == 0
-        assert "--scenario" in shown.out
-        assert "LeaderFollow-v0" in shown.out
+        assert option in shown.out
+        assert ("LeaderFollow-v0" in shown.out) == (option == "--scenario")
     assert fovconn("--version").out.strip() == fovconn_env.__version__
     bare = fovconn()
     assert bare.status == 2
@@ -165,6 +165,7 @@ BAD = {
     "option": (("eval", "--epsiodes", "3"), "--epsiodes"),
     "command": (("evla",), "evla"),
     "demo policy": (("demo", "--policy", "nobody"), "got 'nobody': your own is file.py:Class"),
+    "figures of what": (("figures",), "figures must be told which, got none: add --ablations"),
     "demo setting": (("demo", "--set", "n_agents=0"), "Scenario.n_agents must be at least 2, got 0"),
     "bench peer": (("bench", "--against", "pong"), "--against must name some of vmas, mpe2, "),
     "bench peers": (("bench", "vmas"), "'vmas' is unexpected: peers come after --against"),
@@ -224,6 +225,16 @@ def why_lost(flight: Flight, k: int, i: int, j: int) -> str:
     return "occlusion" if max(cosines) > flight.scenario.camera.a_min else "view"
 
 
+def why_weak(flight: Flight, k: int) -> str:
+    """Of the strongest link between the two sides of v2: which of gamma (9) and the view's weight (11) is less."""
+    camera, weights = flight.scenario.camera, flight.weights[k]
+    _, v2 = ref.lambda2_v2(weights)
+    across = weights * (np.sign(v2)[:, None] != np.sign(v2)[None, :])
+    i, j = np.unravel_index(across.argmax(), across.shape)
+    gamma = ref.gamma(np.linalg.norm(flight.poses[k, i, :3] - flight.poses[k, j, :3]), camera)
+    return "range" if gamma <= weights[i, j] / gamma else "view"
+
+
 def recomputed(flight: Flight) -> dict[str, float]:
     """`Meter.results` from a flight, one definition of docs/metrics.md after another."""
     s, dt, n = flight.scenario, flight.scenario.step_time, flight.scenario.n_agents
@@ -235,7 +246,7 @@ def recomputed(flight: Flight) -> dict[str, float]:
     speed = [[np.linalg.norm(position[k, i] - position[k - 1, i]) / dt for i in range(n)] for k in steps]
     moved = next((k for k in steps if max(speed[k - 1]) > 0.05), math.inf)
     mutual = one_way = 0
-    lost, causes = {"range": 0, "view": 0, "occlusion": 0}, {0: "none"}
+    lost, causes = {"range": 0, "view": 0, "occlusion": 0}, {}
     gaps, valid, counted = [], {True: 0, False: 0}, {True: 0, False: 0}
     for k in steps:
         for i, j in pairs:
@@ -251,6 +262,7 @@ def recomputed(flight: Flight) -> dict[str, float]:
                 for a, b in ((i, j), (j, i)):
                     counted[bool(both)] += 1
                     valid[bool(both)] += bool(flight.yaw_valid[k, a, b])
+    cause = "" if not split else causes[max(causes)] if causes else why_weak(flight, split[0])
     pushed = sum(float(flight.stick[k] @ flight.stick[k]) for k in steps)
     lead = s.leader_index
     travelled = sum(float((position[k, lead] - position[k - 1, lead]) / dt @ flight.stick[k]) for k in steps)
@@ -265,7 +277,7 @@ def recomputed(flight: Flight) -> dict[str, float]:
         "first_disconnection": split[0] * dt if split else math.nan,
         "links_lost_per_minute": sum(lost.values()) / duration * 60,
         **{f"lost_by_{cause}": number for cause, number in lost.items()},
-        "split_cause": {"none": 4, "range": 1, "view": 2, "occlusion": 3}[causes[max(causes)]] if split else 0,
+        "split_cause": ("", "range", "view", "occlusion").index(cause),
         "split_lambda2_hat": np.mean(flight.lambda2_hat[split[0] - 1]) if split else math.nan,
         "time_to_goal": duration if flight.outcome == "success" else math.nan,
         "mutual_share": mutual / count / len(pairs),

@@ -67,7 +67,7 @@ def fake(model, policy, seeds):
         "collision": collision,
         "first_disconnection": np.where(kept == 1.0, math.nan, time),
         "duration": np.where(kept == 1.0, 10.0, time),
-        "split_cause": np.where(kept == 1.0, 0.0, rng.integers(1, 5, count)),
+        "split_cause": np.where(kept == 1.0, 0.0, rng.integers(1, 4, count)),
         "split_lambda2_hat": np.where(kept == 1.0, math.nan, rng.random(count)),
         "split_alignment": np.where(kept == 1.0, math.nan, rng.random(count)),
         "progress": rng.random(count) if model.scenario.leader == "waypoints" else np.full(count, math.nan),

@@ -8,8 +8,10 @@ from typing import Any, NamedTuple
 import fovconn_env
 from fovconn_env import scenario
 from training.campaign import Cell
-from training.evaluation import Evaluation, summary
+from training.comparison import percent
+from training.evaluation import SHARES, Evaluation, summary
 from training.results import run_block
+from training.statistics import Estimate
 
 BASE = "LeaderFollow-v0"
 
@@ -48,10 +50,10 @@ STUDIES = (
         "Field of view",
         "",
         [
-            Point("oracle-all-seeing", "sees all around"),
-            Point("oracle", "sees ahead, knows all"),
-            Point("expert", "sees ahead"),
-            Point("omni", "does not heed it"),
+            Point("oracle-all-seeing", "all around"),
+            Point("oracle", "ahead, all known"),
+            Point("expert", "ahead"),
+            Point("omni", "ahead, ignored"),
         ],
     ),
     Study(
@@ -64,7 +66,7 @@ STUDIES = (
         ],
     ),
     Study(
-        "Estimate of lambda2, v2",
+        "lambda2 and v2",
         "",
         [
             Point("expert", "given", changes={"lambda2": "true"}),
@@ -75,18 +77,18 @@ STUDIES = (
     Study("Weight of a link", "", [Point("expert", "one looks (11)"), Point("both-look", "both look")]),
     _sweep(
         "Message rate",
-        "message rounds a second",
+        "rounds/s",
         _COMPARED,
-        dict([_rate(40, 0.025, 2, 1), _rate(80, 0.025, 2, 2), _rate(100, 0.01, 5, 1), _rate(200, 0.01, 5, 2)]),
+        dict([_rate(20, 0.05, 1, 1), _rate(40, 0.025, 2, 1), _rate(100, 0.01, 5, 1), _rate(200, 0.01, 5, 2)]),
     ),
-    _sweep("Lost messages", "share lost", _COMPARED, {loss: {"radio.loss": loss} for loss in (0.0, 0.1, 0.3, 0.5)}),
+    _sweep("Lost messages", "share", _COMPARED, {loss: {"radio.loss": loss} for loss in (0.0, 0.1, 0.3, 0.5, 0.7)}),
     _sweep(
         "Leader's speed",
         "stick, m/s",
-        (*_COMPARED, "omni"),
+        _COMPARED,
         {speed: {"stick_speed": speed} for speed in (0.5, 1.0, 1.5, 2.0, 2.5)},
     ),
-    _sweep("Robots", "N", _COMPARED, {float(n): {"n_agents": n} for n in (3, 4, 6, 9, 12)}),
+    _sweep("Robots", "N", _COMPARED, {float(n): {"n_agents": n} for n in (3, 6, 12, 18, 24)}),
 )
 
 
@@ -103,15 +105,15 @@ def gather(results: Sequence[Evaluation]) -> list[list[dict[str, Any]]]:
 
 def rows(found: list[list[dict[str, Any]]]) -> tuple[list[str], list[list[str]]]:
     """Head and rows of the table of all points, words for words as in terminal and page."""
-    head = ["study", "point", "policy", "never disconnected [95 %]", "success", "progress", "lambda2_hat error p50"]
+    head = ["study", "point", "policy", "kept %", "success %", "progress", "lambda2 error p50"]
     table = []
     for study, reports in zip(STUDIES, found, strict=True):
         for point, report in zip(study.points, reports, strict=True):
-            low, high = report["never_disconnected_interval"]
-            kept = f"{report['never_disconnected']:.1%} [{100 * low:.1f}, {100 * high:.1f}]"
-            place = point.label if point.at is None else f"{point.at:g} {study.axis}"
-            figures = [f"{report['success']:.1%}", f"{report['progress']:.2f}", f"{report['lambda2_error_median']:.2%}"]
-            table.append([study.title, place, point.policy, kept, *figures])
+            place = point.label if point.at is None else f"{point.at:g}"
+            title = f"{study.title}, {study.axis}" if study.axis else study.title
+            kept, success = (percent(Estimate(report[name], *report[f"{name}_interval"])) for name in SHARES[:2])
+            figures = [f"{report['progress']:.2f}", f"{report['lambda2_error_median']:.2%}"]
+            table.append([title, place, point.policy, kept, success, *figures])
     return head, table
 
 

@@ -24,7 +24,7 @@ from training.statistics import survival
 
 WIDTH = 7.5  # inches, 1200 pixels
 ROW = 0.27  # inches of a policy in bar charts and forests
-CAUSES = {"range": "#0072B2", "field of view": "#E69F00", "occlusion": "#CC79A7", "weak links": "#C9C5BE"}
+CAUSES = {"range": "#0072B2", "field of view": "#E69F00", "occlusion": "#CC79A7"}
 MEASURES = {
     "score": "score: 0 random's mean, 1 the expert's",
     "sct": "success weighted by completion time",
@@ -84,7 +84,7 @@ CURVES_TEXT = (
 DIFFERENCES_TEXT = "Share of episodes, policy less expert on the same seeds, with 95 % intervals."
 CAUSES_TEXT = (
     "Left: links lost per minute, by the reason of each. Right: episodes whose team split, by the reason for which the "
-    "strongest link lost in that step was lost; weak links: none was lost in that step."
+    "strongest link lost in that step was lost, or why the strongest link left between the two sides is weak."
 )
 ERRORS_TEXT = (
     "Share of all robots and steps with an error below the value on the axis: the relative error of lambda2_hat while "
