@@ -4,6 +4,8 @@ VENV ?= .venv
 LIBRARIES ?= .venvs
 WORKERS ?= 2
 ARGS ?=
+LONG := --policy expert --policy expert-flooding --policy augmented --policy omni
+SHOWN := LeaderFollow-v0_curves.png LeaderObstacles-v0_causes.png LeaderFollow-v0_errors.png
 
 BIN := $(VENV)/bin
 # -qq hides progress and warnings about indexes, never an error. No isolation: the build tools are pinned as well.
@@ -13,7 +15,7 @@ PIP := $(BIN)/python $(INSTALL) -c constraints.txt
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast test-integrations lint format clean
+.PHONY: help demo results test test-fast test-integrations lint format clean
 .NOTPARALLEL:
 
 help:  ## list the targets
@@ -33,6 +35,15 @@ test-fast: $(VENV)/installed-test  ## the suite without its long statistics
 test-integrations: $(LIBRARIES)/current/installed $(LIBRARIES)/older/installed  ## docs/examples, each with its library (torch, 3 GB)
 	$(LIBRARIES)/current/bin/python -m pytest tests/integrations tests/test_sb3.py $(ARGS)
 	$(LIBRARIES)/older/bin/python -m pytest tests/integrations $(ARGS)
+
+results: $(VENV)/installed-demo  ## fly all that docs/results.md and the README's table show (about 15 min), and write them
+	$(BIN)/fovconn eval --suite full --out out/results/full --record docs/results/full.json
+	$(BIN)/fovconn eval $(LONG) --seeds 0-999 --out out/results/thousand --record docs/results/thousand.json
+	$(BIN)/fovconn eval $(LONG) --seeds 0-999 --set stick_speed=2.5 --out out/results/fast --record docs/results/fast.json
+	$(BIN)/fovconn figures --ablations --seeds 0-319 --out out/results/ablations --record docs/results/ablations.json
+	cp out/results/ablations/ablations.png docs/images/
+	cp $(addprefix out/results/full/plots/,$(SHOWN)) docs/images/
+	$(BIN)/python docs/tables.py
 
 lint: $(VENV)/installed-dev  ## ruff (rules and format) and pyright
 	$(BIN)/ruff check .

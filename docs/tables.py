@@ -2,8 +2,8 @@
 
 A table stands between `<!-- KIND:NAME -->` and `<!-- end -->`. KIND is `layout` (a table of `fovconn_env.layout`, or
 `layout:scales`, what the named bounds are), `settings` (fields of a settings class, with the comment beside each),
-`bench` (rates, bars or machine of docs/benchmark.json, which `fovconn bench --json` writes) or `results` and
-`ablations` (tables of docs/results.json and docs/ablations.json, which `make results` writes).
+`bench` (rates, bars or machine of docs/benchmark.json, which `fovconn bench --json` writes) or `results`
+(a table of a record in docs/results, which `make results` writes).
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ SCALES = {
     "age": "radio.memory + radio.delay * clock.tick / clock.rounds",
     "world": "1000",
 }
-_MARKED = re.compile(r"(<!-- (\w+):([\w -]+) -->\n).*?(<!-- end -->)", re.DOTALL)
+_MARKED = re.compile(r"(<!-- (\w+):([\w -]+?) -->\n).*?(<!-- end -->)", re.DOTALL)
 _FIELD = re.compile(r"^    (\w+): (.+?) = (.+?)(?:  # (.*))?$", re.MULTILINE)
 
 
 def rendered(text: str) -> str:
     """A page with its generated tables made anew."""
     kinds = {"layout": layout_table, "settings": settings_table, "bench": bench_table}
-    kinds |= {"results": results_table, "ablations": ablations_table}
+    kinds |= {"results": results_table}
     return _MARKED.sub(lambda found: f"{found[1]}\n{kinds[found[2]](found[3])}\n\n{found[4]}", text)
 
 
@@ -91,19 +91,14 @@ def bench_table(name: str) -> str:
 
 
 def results_table(name: str) -> str:
-    """A table of the committed results, with its footnotes; or "run", a line of text."""
-    report = json.loads((ROOT / "docs" / "results.json").read_text("utf-8"))
-    if name == "run":
+    """A table of a record in docs/results, with its footnotes; name: record and table, "run" for a line of text."""
+    record, _, table = name.partition(" ")
+    report = json.loads((ROOT / "docs" / "results" / f"{record}.json").read_text("utf-8"))
+    if table == "run":
         return _run_line(report)
-    table = report["tables"][name]
-    notes = [note for note in report["footnotes"] if any(note[0] in row[0] for row in table["rows"])]
-    return "\n\n".join([_markdown(table["head"], table["rows"]), *notes])
-
-
-def ablations_table(name: str) -> str:
-    """The table of the committed ablations, or "run", a line of text."""
-    report = json.loads((ROOT / "docs" / "ablations.json").read_text("utf-8"))
-    return _run_line(report) if name == "run" else _markdown(report["head"], report["rows"])
+    found = report["tables"][table] if table else report
+    notes = [note for note in report.get("footnotes", ()) if any(note[0] in row[0] for row in found["rows"])]
+    return "\n\n".join([_markdown(found["head"], found["rows"]), *notes])
 
 
 def _run_line(report: dict) -> str:

@@ -29,7 +29,7 @@ def draw(found: list[list[dict[str, Any]]], path: Path, about: str) -> Path:
     """Draw the studies' summaries, see `ablations.gather`, to a PNG; `about` is written below."""
     with matplotlib.rc_context(RC):
         figure = page(11.0, 6.0)
-        panels = figure.subplots(2, len(STUDIES) // 2, sharey="row")
+        panels = figure.subplots(2, len(STUDIES) // 2, sharey="row", squeeze=False)
         handles: dict[str, Any] = {}
         for axes, study, reports in zip(panels.flat, STUDIES, found, strict=True):
             (_lines if study.axis else _bars)(axes, study, reports)

@@ -199,6 +199,19 @@ def estimator_table(comparison: Comparison, scenario: str) -> Table:
     return _table(comparison.on(scenario), columns, always=7)
 
 
+def matrix(comparison: Comparison) -> Table:
+    """Shares of episodes kept and of successes, policies by scenarios."""
+    columns = {"policy": lambda policy, _: comparison.name(policy)}
+    for name in comparison.scenarios:
+
+        def cell(policy: str, _: Any, name: str = name) -> str:
+            result = comparison.results.get((name, policy))
+            return f"{100 * result.kept.value:.1f} / {100 * result.success.value:.1f}" if result else "-"
+
+        columns[name] = cell
+    return _table(dict.fromkeys(comparison.policies), columns, always=1)
+
+
 def overall_table(comparison: Comparison) -> Table:
     """The policies over all scenarios together."""
     columns = {

@@ -26,10 +26,11 @@ from training.comparison import (
     compare,
     difference_table,
     estimator_table,
+    matrix,
     overall_table,
     scenario_table,
 )
-from training.evaluation import Evaluation, label, summary
+from training.evaluation import SHARES, Evaluation, label, summary
 from training.marl_eval import to_marl_eval
 
 SAMPLE = 4  # episodes of each evaluation in a short record
@@ -76,7 +77,7 @@ def to_json(comparison: Comparison, policies: Sequence[str], seconds: float) -> 
 
 def tables(comparison: Comparison) -> dict[str, Table]:
     """All tables by name: "overall", and of each scenario its results, differences and estimators."""
-    found = {"overall": overall_table(comparison)}
+    found = {"overall": overall_table(comparison), "kept and success": matrix(comparison)}
     for name in comparison.scenarios:
         found[name] = scenario_table(comparison, name)
         found[f"{name} differences"] = difference_table(comparison, name)
@@ -85,11 +86,11 @@ def tables(comparison: Comparison) -> dict[str, Table]:
 
 
 def short(record: dict[str, Any]) -> dict[str, Any]:
-    """A record for the repository: summaries, tables, and the first episodes alone."""
-    shown = ("policy", "scenario", "summary")
+    """A record for the repository: tables, and of the first episodes enough to see whether they still come out so."""
+    shown = (*SHARES, "duration")
     kept = [
-        {name: item[name] for name in shown}
-        | {"episodes": {name: values[:SAMPLE] for name, values in item["episodes"].items()}}
+        {name: item[name] for name in ("policy", "scenario")}
+        | {"episodes": {name: item["episodes"][name][:SAMPLE] for name in shown}}
         for item in record["evaluations"]
     ]
     return {name: value for name, value in record.items() if name != "histogram_bins"} | {"evaluations": kept}
