@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # runs from a clone without 
 from baselines import Gains
 from fovconn_env import layout, scenarios, settings
 from fovconn_env.layout import Column
-from training.bench_report import bar_table, machine_line, rate_table, restless
+from training.bench.report import bar_table, machine_line, rate_table, restless
 
 ROOT = Path(__file__).parents[1]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))

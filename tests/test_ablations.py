@@ -7,9 +7,8 @@ import pytest
 from PIL import Image
 
 from baselines import POLICIES, find_policy
-from training import ablation_plot, ablations
-from training.ablations import STUDIES, Point, Study, cells
-from training.evaluation import evaluate
+from training.evaluation import ablation_picture, ablations, evaluate
+from training.evaluation.ablations import STUDIES, Point, Study, cells
 
 TINY = {"n_agents": 3, "max_cycles": 30, "warmup": 0.2}
 
@@ -24,7 +23,7 @@ def test_every_point_can_fly():
     points = [point for study in STUDIES for point in study.points]
     assert len(found) < len(points)  # the defaults are part of several studies
     lines = {point.policy for study in STUDIES if study.axis for point in study.points}
-    assert lines == set(ablation_plot._STYLE)
+    assert lines == set(ablation_picture._STYLE)
 
 
 def test_message_rates_are_what_the_axis_says():
@@ -40,8 +39,8 @@ def test_figures_command(fovconn, monkeypatch):
     sweep = [Point(policy, policy, float(n), {**TINY, "n_agents": n}) for policy in ("expert", "omni") for n in (2, 3)]
     studies = (Study("Switch", "", [Point("expert", "as it is", None, TINY)]), Study("Sweep", "N", sweep))
     monkeypatch.setattr(ablations, "STUDIES", studies)
-    monkeypatch.setattr(ablation_plot, "STUDIES", studies)
-    monkeypatch.setitem(ablation_plot._STYLE, "omni", ("#000000", "v:"))
+    monkeypatch.setattr(ablation_picture, "STUDIES", studies)
+    monkeypatch.setitem(ablation_picture._STYLE, "omni", ("#000000", "v:"))
     assert len(cells()) == 4
     shown = fovconn("figures", "--ablations", "--seeds", "0-2", "--out", "drawn", "--record", "record.json")
     assert shown.status == 0

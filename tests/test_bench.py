@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from fovconn_env import Simulator, scenario
-from training import bench, bench_report
-from training.bench import GROUPS, Agenda, Memory, Result, Timing, agenda, measure, peak_memory, run
-from training.bench_cases import FULL, PEERS, SIZES, Case, Effort, Plan, _on_one_thread, at_one_density, plans
-from training.bench_plot import KINDS, plot
-from training.bench_report import Bar, bar_table, bars, machine, machine_line, rate_table, ratio, record, restless
+from training.bench import report as report_module
+from training.bench import timing as bench
+from training.bench.cases import FULL, PEERS, SIZES, Case, Effort, Plan, _on_one_thread, at_one_density, plans
+from training.bench.picture import KINDS, plot
+from training.bench.report import Bar, bar_table, bars, machine, machine_line, rate_table, ratio, record, restless
+from training.bench.timing import GROUPS, Agenda, Memory, Result, Timing, agenda, measure, peak_memory, run
 
 TINY = scenario(n_agents=3, warmup=0.1, max_cycles=8)
 LEAST = Effort(repetitions=3, seconds=0.0, batches=(1, 2), rows=2, robots=48, learn_steps=4)
@@ -226,7 +227,7 @@ def test_the_machine_is_told_without_its_name():
 
 @pytest.mark.parametrize("value, short, long", [(3.14159, "3.14", "3.14"), (285432.0, "285k", "285,000")])
 def test_numbers_are_rounded(value, short, long):
-    assert (bench_report._short(value), bench_report._count(value)) == (short, long)
+    assert (report_module._short(value), report_module._count(value)) == (short, long)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from fovconn_env import scenario
-from training import campaign
-from training.campaign import Cell, Shelf, fingerprint, fly_cells, parse_seeds, suite
-from training.evaluation import evaluate
+from training.evaluation import campaign, evaluate
+from training.evaluation.campaign import Cell, Shelf, fingerprint, fly_cells, parse_seeds, suite
 
 ROOT = Path(__file__).parents[1]
 TINY = {"n_agents": 3, "max_cycles": 30, "warmup": 0.2}

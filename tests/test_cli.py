@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -82,6 +83,35 @@ def test_eval_writes_json_that_a_second_run_repeats(fovconn, tmp_path):
         for name in ("never_disconnected", "success", "collision"):
             low, high = record["summary"][f"{name}_interval"]
             assert 0 <= low <= record["summary"][name] <= high <= 1
+
+
+def test_the_policy_of_the_page_lands_in_the_same_table(fovconn, tmp_path):
+    """docs/policies.md: ten lines in a file, then one command."""
+    page = (ROOT / "docs" / "policies.md").read_text("utf-8")
+    example = re.search(r"here `my_policy.py`:\n\n```python\n(.*?)```", page, re.DOTALL)[1]
+    assert len([line for line in example.splitlines() if line.strip()]) <= 12
+    Path("my_policy.py").write_text(example)
+    shown = fovconn("eval", "--policy", "expert", "--policy", "my_policy.py:Mine", *TINY, "--seeds", "0-1")
+    assert shown.status == 0
+    names = re.findall(r"^(\w+) +\d", shown.out, re.MULTILINE)
+    assert names == ["expert", "Mine"]
+    assert "wrote out/eval/results.json" in shown.out
+    assert {"report.html", "report.md", "marl-eval.json"} <= {file.name for file in Path("out/eval").iterdir()}
+    assert "Mine" in Path("out/eval/report.html").read_text()
+    record = strict_json(Path("out/eval/results.json"))
+    assert record["policies"]["Mine"]["purpose"].startswith("Turns towards the nearest robot")
+    narrow = fovconn("eval", "--policy", "expert", "--policy", "my_policy.py:Mine", *TINY, "--seeds", "0-1")
+    assert narrow.out == shown.out  # nothing was flown again
+
+
+@pytest.mark.parametrize("columns, brackets", [("200", True), ("72", False)])
+def test_tables_fit_the_terminal(columns, brackets, tmp_path):
+    """A narrow one gets the numbers without their intervals, not cut off."""
+    variables = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": columns}
+    words = [sys.executable, "-m", "training.cli", "eval", "--policy", "expert", "--policy", "zero", "--seeds", "0-1"]
+    task = subprocess.run([*words, *TINY, "--out", tmp_path], env=variables, capture_output=True, text=True, timeout=120, check=True)
+    assert ("[" in task.stdout.splitlines()[3]) == brackets
+    assert "…" not in task.stdout
 
 
 def test_intervals_are_wilsons():
@@ -367,7 +397,7 @@ def test_meter_of_a_batch_is_the_meter_of_each_episode():
 def test_evaluation_is_cut_into_batches_without_a_trace(monkeypatch):
     settings = scenario("LeaderFollow-v0", n_agents=3, max_cycles=20, warmup=0.2)
     whole = evaluate("expert", settings, range(7))
-    monkeypatch.setattr("training.evaluation.BATCH", 3)
+    monkeypatch.setattr("training.evaluation.flights.BATCH", 3)
     done = []
     pieces = evaluate("expert", settings, range(7), progress=done.append)
     for name, values in whole.episodes.items():

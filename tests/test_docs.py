@@ -83,8 +83,8 @@ def test_readme_has_the_examples_it_promises():
 @pytest.mark.parametrize("arguments", commands("fovconn"), ids=" ".join)
 def test_commands_parse(arguments):
     typer_main = pytest.importorskip("typer.main")
-    from training.campaign import parse_seeds, suite
     from training.cli import _parse, app
+    from training.evaluation.campaign import parse_seeds, suite
 
     command = typer_main.get_command(app).commands[arguments[0]]
     values = command.make_context(arguments[0], arguments[1:]).params

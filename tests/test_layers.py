@@ -40,6 +40,7 @@ LAYERS = [
     ["fovconn_env.*"],
     ["fovconn_env"],
     ["baselines"],
+    ["training.bench", "training.evaluation", "training.sb3"],
     ["training"],
     ["tests"],
 ]

@@ -13,7 +13,8 @@ pytest.importorskip("matplotlib")
 pytest.importorskip("jinja2")
 
 from fovconn_env import scenario
-from training.comparison import (
+from training.evaluation import evaluate
+from training.evaluation.comparison import (
     compare,
     difference_table,
     estimator_table,
@@ -22,11 +23,10 @@ from training.comparison import (
     percent,
     scenario_table,
 )
-from training.evaluation import evaluate
-from training.marl_eval import to_marl_eval
-from training.report import MOST_LOST, lost_table, write_report
-from training.report_plot import looks
-from training.statistics import Estimate, paired_share_difference, share_interval
+from training.evaluation.marl_eval import to_marl_eval
+from training.evaluation.pictures import looks
+from training.evaluation.report import MOST_LOST, lost_table, write_report
+from training.evaluation.statistics import Estimate, paired_share_difference, share_interval
 
 HEAD = {"seeds": "0-23", "date": "2026-01-01", "settings": "n_agents=3 | max_cycles<=40"}
 NOTES = {"oracle": "an oracle: knows <the truth>"}
@@ -302,8 +302,8 @@ def test_evaluations_as_they_come(flown, tmp_path):
 
 def test_links_lead_to_the_definitions(team, tmp_path, monkeypatch):
     """Inside of the repository only, else there is nothing to link to."""
-    monkeypatch.setattr("training.report.ROOT", tmp_path)
-    monkeypatch.setattr("training.report.METRICS", tmp_path / "docs" / "metrics.md")
+    monkeypatch.setattr("training.evaluation.report.ROOT", tmp_path)
+    monkeypatch.setattr("training.evaluation.report.METRICS", tmp_path / "docs" / "metrics.md")
     folder = tmp_path / "out" / "eval"
     for path in (folder, tmp_path / "docs"):
         path.mkdir(parents=True)

@@ -9,9 +9,9 @@ import pytest
 import fovconn_env
 from baselines import POLICIES
 from fovconn_env import PRESETS, scenario
-from training.campaign import SUITES
-from training.evaluation import SHARES, evaluate
-from training.results import SAMPLE, about
+from training.evaluation.campaign import SUITES
+from training.evaluation.flights import SHARES, evaluate
+from training.evaluation.results import SAMPLE, about
 
 ROOT = Path(__file__).parents[1]
 RECORDS = {name: json.loads((ROOT / f"docs/results/{name}.json").read_text()) for name in ("full", "thousand", "fast")}

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from training import statistics
-from training.statistics import (
+from training.evaluation import statistics
+from training.evaluation.statistics import (
     NOTHING,
     Estimate,
     improvement,

@@ -22,12 +22,12 @@ from rich.table import Table
 import fovconn_env
 from baselines import POLICIES, find_policy
 from fovconn_env import PRESETS, Scenario, scenario
-from training.bench import GROUPS, INSTALLED, agenda, run
-from training.bench_cases import FULL, PEERS, QUICK
-from training.campaign import DEV_SEEDS, SUITES, Cell, Interrupted, fly_cells, parse_seeds, suite
-from training.comparison import Comparison, overall_table, scenario_table
+from training.bench.cases import FULL, PEERS, QUICK
+from training.bench.timing import GROUPS, INSTALLED, agenda, run
 from training.evaluation import Evaluation, summary
-from training.results import publish, short, write_json
+from training.evaluation.campaign import DEV_SEEDS, SUITES, Cell, Interrupted, fly_cells, parse_seeds, suite
+from training.evaluation.comparison import Comparison, overall_table, scenario_table
+from training.evaluation.results import publish, short, write_json
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -37,7 +37,7 @@ app = typer.Typer(
 )
 OUT = Path("out")
 # a pipe has no width; rich would take 80 letters, too few for the tables
-out = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else 120)
+out = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else 132)
 err = Console(stderr=True)
 
 ScenarioName = Annotated[str, typer.Option("--scenario", help="Scenario id: " + ", ".join(PRESETS))]
@@ -121,12 +121,18 @@ def _show(comparison: Comparison) -> None:
     if len(comparison.results) == 1:
         out.print(_table(next(iter(comparison.results.values())).evaluation))
         return
+    tables = {}
     for name in comparison.scenarios:
         count = len(next(iter(comparison.on(name).values())).evaluation.seeds)
-        out.print(_grid(*_fitting(f"{name}, {count} seeds", *scenario_table(comparison, name))))
-        out.print()
+        tables[f"{name}, {count} seeds"] = scenario_table(comparison, name)
     if len(comparison.scenarios) > 1:
-        out.print(_grid("over all scenarios", *overall_table(comparison)))
+        tables["over all scenarios"] = overall_table(comparison)
+    wide = all(_width(*table) <= out.width for table in tables.values())
+    for title, (head, rows) in tables.items():
+        bare = [[re.sub(r" \[.*\]", "", cell) for cell in row] for row in rows]
+        out.print(_grid(title, head, rows if wide else bare))
+        out.print()
+    out.print("in brackets: 95 % intervals" if wide else "a wider terminal shows 95 % intervals", style="dim")
     for note in comparison.footnotes:
         out.print(note, highlight=False, markup=False)
 
@@ -179,7 +185,7 @@ def bench(
     settings: Settings = None,
 ) -> None:
     """Time the environment: steps a second, medians over repetitions, ratios to the peers, peak memory."""
-    from training.bench_report import bar_table, machine_line, rate_table, record, restless
+    from training.bench.report import bar_table, machine_line, rate_table, record, restless
 
     if peers and not against:
         raise ValueError(f"{peers[0]!r} is unexpected: peers come after --against, groups each after an --only")
@@ -187,7 +193,7 @@ def bench(
     effort = effort._replace(batches=tuple(batches or effort.batches), repetitions=repetitions or effort.repetitions)
     todo = agenda(chosen, effort, only or (), [*(against or ()), *(peers or ())])
     if picture is not None:
-        from training.bench_plot import KINDS, plot
+        from training.bench.picture import KINDS, plot
 
         if picture.suffix not in KINDS:
             raise ValueError(f"--plot must end in one of {', '.join(KINDS)}, got {str(picture)!r}")
@@ -228,8 +234,8 @@ def figures(
     """Draw figures of many flights; those of a single one come from `fovconn demo`."""
     if not ablations:
         raise ValueError("figures must be told which, got none: add --ablations")
-    from training import ablations as studies
-    from training.ablation_plot import draw as draw_ablations
+    from training.evaluation import ablations as studies
+    from training.evaluation.ablation_picture import draw as draw_ablations
 
     numbers, cells = parse_seeds(seeds), studies.cells()
     _check_folder(folder)
@@ -332,13 +338,9 @@ def _table(result: Evaluation) -> Table:
     return table
 
 
-def _fitting(title: str, head: list[str], rows: list[list[str]]) -> tuple[str, list[str], list[list[str]]]:
-    """A table, without its intervals where the terminal is too narrow for them."""
-    widths = [max(len(cell) for cell in column) for column in zip(head, *rows, strict=True)]
-    if sum(widths) + 2 * len(widths) <= out.width:
-        return f"{title}, [95 % intervals]", head, rows
-    bare = [[re.sub(r" \[.*\]", "", cell) for cell in row] for row in rows]
-    return f"{title}; a wider terminal shows 95 % intervals", head, bare
+def _width(head: list[str], rows: list[list[str]]) -> int:
+    """Letters that a line of `_grid` takes."""
+    return sum(2 + max(len(cell) for cell in column) for column in zip(head, *rows, strict=True))
 
 
 def _grid(title: str, head: list[str], rows: list[list[str]]) -> Table:
@@ -374,8 +376,11 @@ def _check_writable(files: dict[str, Path | None]) -> None:
             raise ValueError(
                 f"{option} must name a file in an existing folder, got {str(file)!r}: make the folder first"
             )
-    for file in given.values():
-        file.touch()  # fails now rather than after the flights
+    for file in given.values():  # fails now rather than after the flights
+        there = file.exists()
+        file.touch()
+        if not there:
+            file.unlink()
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import PercentFormatter
 
 from fovconn_env.render.style import DARK, FAINT, FOLLOWERS, RC, page, save
-from training.ablations import STUDIES, Study
+from training.evaluation.ablations import STUDIES, Study
 
 KEPT = "never_disconnected"
 _STYLE = {

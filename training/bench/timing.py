@@ -18,7 +18,7 @@ import numpy as np
 
 from fovconn_env import Scenario
 from fovconn_env.vector import VectorEnv
-from training.bench_cases import PEERS, Case, Effort, Plan, plans
+from training.bench.cases import PEERS, Case, Effort, Plan, plans
 
 GROUPS = ("parallel", "vector", "expert", "sb3", "ppo", "dynamics", "reset", "density", "memory")
 INSTALLED = ("installed", "all")  # in the place of a peer's name
@@ -162,7 +162,7 @@ def _installed(peer: str) -> bool:
 # ------------------------------------------------------------------------------------------------------------ memory
 def peak_memory(chosen: Scenario, n_worlds: int) -> Memory:
     """Peak memory of a process that makes a vector environment, resets it and makes ten steps."""
-    code = "import sys, pickle; from training.bench import fly_once; fly_once(*pickle.load(sys.stdin.buffer))"
+    code = "import sys, pickle; from training.bench.timing import fly_once; fly_once(*pickle.load(sys.stdin.buffer))"
     words = [sys.executable, "-c", code]
     task = subprocess.run(words, input=pickle.dumps((chosen, n_worlds)), capture_output=True, check=True)
     imports, peak = task.stdout.split()[-2:]

@@ -24,8 +24,8 @@ import baselines
 import fovconn_env
 from baselines import POLICIES, find_policy
 from fovconn_env import PRESETS, Scenario
-from training.evaluation import Evaluation, fly, join, label
-from training.results import plain
+from training.evaluation.flights import Evaluation, fly, join, label
+from training.evaluation.results import plain
 
 DEV_SEEDS = range(320)  # frozen: development; a held-out set is kept apart
 SUITES = {"quick": DEV_SEEDS[:32], "full": DEV_SEEDS}  # all policies on all scenarios

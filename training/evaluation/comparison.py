@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from training.evaluation import Evaluation, summary
-from training.statistics import (
+from training.evaluation.flights import Evaluation, summary
+from training.evaluation.statistics import (
     NOTHING,
     Estimate,
     improvement,

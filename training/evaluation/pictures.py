@@ -19,8 +19,8 @@ from matplotlib.ticker import MaxNLocator, NullLocator, PercentFormatter
 
 from fovconn_env.metrics import ERRORS, SPLIT_CAUSE, bin_edges
 from fovconn_env.render.style import DARK, FAINT, FOLLOWERS, LEADER, RC, page, save
-from training.comparison import EXPERT, MERIT, Comparison, Result
-from training.statistics import survival
+from training.evaluation.comparison import EXPERT, MERIT, Comparison, Result
+from training.evaluation.statistics import survival
 
 WIDTH = 7.5  # inches, 1200 pixels
 ROW = 0.27  # inches of a policy in bar charts and forests

@@ -20,7 +20,7 @@ import fovconn_env
 from baselines import find_policy
 from fovconn_env import PRESETS, Map, Scenario
 from fovconn_env.metrics import ERRORS, bin_edges
-from training.comparison import (
+from training.evaluation.comparison import (
     Comparison,
     Table,
     compare,
@@ -30,8 +30,8 @@ from training.comparison import (
     overall_table,
     scenario_table,
 )
-from training.evaluation import SHARES, Evaluation, label, summary
-from training.marl_eval import to_marl_eval
+from training.evaluation.flights import SHARES, Evaluation, label, summary
+from training.evaluation.marl_eval import to_marl_eval
 
 SAMPLE = 4  # episodes of each evaluation in a short record
 FORMAT = 1  # of the record; a change of its structure counts it up
@@ -104,7 +104,7 @@ def publish(results: Sequence[Evaluation], policies: Sequence[str], folder: Path
     record = to_json(comparison, policies, seconds)
     files = [write_json(folder / "results.json", record), write_json(folder / "marl-eval.json", to_marl_eval(results))]
     if importlib.util.find_spec("matplotlib") is not None:
-        from training.report import write_report
+        from training.evaluation.report import write_report
 
         files += write_report(comparison, folder, _head(record, results))
     return Published(comparison, record, files)

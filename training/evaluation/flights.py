@@ -11,7 +11,7 @@ import numpy as np
 from baselines import Policy, find_policy
 from fovconn_env import Scenario, Simulator
 from fovconn_env.metrics import ERRORS, Meter, quantile
-from training.statistics import share_interval
+from training.evaluation.statistics import share_interval
 
 BATCH = 256  # worlds flown at once
 SHARES = ("never_disconnected", "success", "collision")  # measures that are yes or no

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 
 import fovconn_env
 from fovconn_env import scenario
-from training.campaign import Cell
-from training.comparison import percent
-from training.evaluation import SHARES, Evaluation, summary
-from training.results import run_block
-from training.statistics import Estimate
+from training.evaluation.campaign import Cell
+from training.evaluation.comparison import percent
+from training.evaluation.flights import SHARES, Evaluation, summary
+from training.evaluation.results import run_block
+from training.evaluation.statistics import Estimate
 
 BASE = "LeaderFollow-v0"
 

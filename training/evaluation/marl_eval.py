@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from training.evaluation import Evaluation
+from training.evaluation.flights import Evaluation
 
 ENVIRONMENT = "fovconn"
 METRICS = ("return", "sct", "success", "never_disconnected", "progress")

@@ -1,0 +1,1 @@
+"""Timing: what `fovconn bench` does."""
