@@ -109,7 +109,8 @@ def test_tables_fit_the_terminal(columns, brackets, tmp_path):
     """A narrow one gets the numbers without their intervals, not cut off."""
     variables = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": columns}
     words = [sys.executable, "-m", "training.cli", "eval", "--policy", "expert", "--policy", "zero", "--seeds", "0-1"]
-    task = subprocess.run([*words, *TINY, "--out", tmp_path], env=variables, capture_output=True, text=True, timeout=120, check=True)
+    words += [*TINY, "--out", str(tmp_path)]
+    task = subprocess.run(words, env=variables, capture_output=True, text=True, timeout=120, check=True)
     assert ("[" in task.stdout.splitlines()[3]) == brackets
     assert "…" not in task.stdout
 

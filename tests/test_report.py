@@ -95,6 +95,8 @@ def column(table, head):
 def test_cells():
     assert percent(Estimate(0.975, 0.9501, 0.9899)) == "97.5 [95, 99]"
     assert percent(Estimate(1.0, 0.9, 1.0)) == "100 [90, 100]"
+    assert percent(Estimate(1.0, 0.9962, 1.0)) == "100 [99.6, 100.0]"
+    assert percent(Estimate(0.0, 0.0, 0.004)) == "0 [0.0, 0.4]"
     assert percent(Estimate(0.5, math.nan, math.nan)) == "50.0"
     assert [figures(value) for value in (0.0, 0.000123, 1234.0, math.nan)] == ["0", "0.00012", "1200", "-"]
 

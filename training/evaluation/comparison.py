@@ -242,9 +242,10 @@ def figures(value: float) -> str:
 
 
 def percent(found: Estimate) -> str:
-    """A share in percent, its interval in whole ones: 97.5 [95, 99]."""
+    """A share in percent, its interval in whole ones, near 0 and 100 in tenths: 97.5 [95, 99], 100 [99.6, 100.0]."""
+    form = ".1f" if found.low > 0.99 or 0.0 < found.high < 0.01 else ".0f"
     text = number(100 * found.value, ".0f" if found.value in (0.0, 1.0) else ".1f")
-    return text if math.isnan(found.low) else f"{text} [{100 * found.low:.0f}, {100 * found.high:.0f}]"
+    return text if math.isnan(found.low) else f"{text} [{100 * found.low:{form}}, {100 * found.high:{form}}]"
 
 
 def estimate(found: Estimate, form: str, scale: float = 1.0) -> str:
