@@ -154,13 +154,15 @@ def _flat(text: str, tolerance: float, max_corners: int) -> list[np.ndarray]:
     rule(len(path) > 0, "it", "an outline", Short(text), "nothing is drawn")
     outlines, corners = [], [path[0].start]
     for k, segment in enumerate(path):
-        count = _count(segment, tolerance)
+        bend = _bend(segment)
+        rule(bool(np.isfinite([segment.end, bend]).all()), "its coordinates", "finite", Short(text), "user units")
+        count = max(1, math.ceil(math.sqrt(bend / (8.0 * tolerance))))  # n chords leave it by at most bend / (8 n^2)
         hint = "simplify it, or draw it as several elements"
         rule(len(corners) + count <= max_corners + 1, "its outline", f"of at most {max_corners} corners", "more", hint)
         corners += [segment.point(share) for share in np.linspace(0.0, 1.0, count + 1)[1:-1]] + [segment.end]
         gap = abs(segment.end - corners[0])
         last = k + 1 == len(path) or path[k + 1].start != segment.end  # path data tells no more of where outlines end
-        if last or gap == 0.0:
+        if last or (gap == 0.0 and any(corner != corners[0] for corner in corners)):
             hint = f"it ends {gap:g} from its start: close it with Z"
             rule(bool(gap <= tolerance), "its outline", "closed", Short(text), hint)
             outlines.append(np.array([[corner.real, corner.imag] for corner in corners[:-1]]))
@@ -168,17 +170,14 @@ def _flat(text: str, tolerance: float, max_corners: int) -> list[np.ndarray]:
     return outlines
 
 
-def _count(segment: Any, tolerance: float) -> int:
-    """Chords for a segment: n of them leave a curve by at most |z''| / (8 n^2), z over [0, 1]."""
+def _bend(segment: Any) -> float:
+    """The greatest |z''| of a segment z over [0, 1], or more."""
     if hasattr(segment, "radius"):  # an arc, delta in degrees
-        bend = max(segment.radius.real, segment.radius.imag) * math.radians(segment.delta) ** 2
-    else:
-        points = segment.bpoints()
-        second = [abs(a - 2 * b + c) for a, b, c in zip(points, points[1:], points[2:], strict=False)]
-        degree = len(points) - 1
-        bend = degree * (degree - 1) * max(second, default=0.0)
-    rule(math.isfinite(bend), "a coordinate", "finite", segment.end, "user units")
-    return max(1, math.ceil(math.sqrt(bend / (8.0 * tolerance))))
+        return max(segment.radius.real, segment.radius.imag) * math.radians(segment.delta) ** 2
+    points = segment.bpoints()
+    degree = len(points) - 1
+    second = [abs(a - 2 * b + c) for a, b, c in zip(points, points[1:], points[2:], strict=False)]
+    return degree * (degree - 1) * max(second, default=0.0)
 
 
 def _check_apart(outlines: list[np.ndarray]) -> None:

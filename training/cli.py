@@ -248,7 +248,9 @@ def figures(
         _check_folder(folder)
         picture, problem = preview(map_file, folder, scenario_name, parse_seeds(seeds or "0-7"))
         if problem:
-            out.print(f"not all starts are drawn: {problem}", style="yellow", highlight=False, markup=False)
+            out.print(
+                f"not all starts are drawn: {problem}", style="yellow", highlight=False, soft_wrap=True, markup=False
+            )
         out.print(f"wrote {picture}", highlight=False, soft_wrap=True)
         return
     if scenario_name is not None:
