@@ -17,7 +17,7 @@ from fovconn_env.graph import Graph, observed_graph
 from fovconn_env.kernel import step
 from fovconn_env.scenarios import Scenario
 from fovconn_env.settings import as_numbers, check_count, rule
-from fovconn_env.world import NO_ACTIONS, NO_MASK, Scout, Start, allocate, clear, place, scratch
+from fovconn_env.world import NO_ACTIONS, NO_MASK, Scout, Start, allocate, clear, draw_faults, place, scratch
 
 WORLDS_PER_SLICE = 16  # fewer are not worth the way to another thread
 
@@ -165,7 +165,8 @@ class Simulator:
         for b in np.flatnonzero(chosen).tolist():
             rng = self._generator(b) if seeds is None else np.random.default_rng(seeds[b])
             start = self._scout.draw(rng, poses)
-            drawn[b] = rng, start, int(rng.integers(2**63))
+            key = int(rng.integers(2**63))
+            drawn[b] = rng, start._replace(faults=draw_faults(self.scenario, rng)), key
         self._make_room(drawn)
         for b, (rng, start, key) in drawn.items():
             self._rngs[b] = rng
@@ -232,6 +233,7 @@ class Simulator:
         )
         self.world.waypoint[b, : len(start.waypoints)] = start.waypoints
         self.world.n_waypoints[b] = len(start.waypoints)
+        self.world.fault[b] = start.faults
         place(self.state.body[b], start.poses)
         self.state.episode["key"][b] = key
         self.state.episode["max_steps"][b] = self.max_cycles
