@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.faults import count_living
+from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.judge import FAULT, OCCLUSION, OWN_VIEW, RANGE, lost_link
 from fovconn_env.kernel.lambda2_estimator import FLOODING
 from fovconn_env.kernel.weights import range_weight

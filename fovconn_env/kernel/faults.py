@@ -24,7 +24,7 @@ def count_living(bodies):
 
 @kernel
 def wear(bodies, mail, faults, now):
-    """Bring up to date what works at the time `now`, s on the clock; what is on the air to or from a dead radio is gone.
+    """Bring up to date what works at the time `now`, s on the clock; what is on the air to or from dead radios is gone.
 
     faults (F,) FAULT; mail (L, N, N).
     """

@@ -59,11 +59,12 @@ def connectivity(bodies, pairs, v2, laplacian, scratch):
                 degree += pairs[i, j].weight
                 laplacian[i, j] = -pairs[i, j].weight
         laplacian[i, i] = degree if bodies[i].alive else -1.0
-    if count_living(bodies) < 2:
-        for i in range(n):
+    team = count_living(bodies) > 1
+    lambda2 = fiedler(laplacian, v2, scratch) if team else 0.0
+    for i in range(n):
+        if not (team and bodies[i].alive):
             v2[i] = 0.0
-        return 0.0
-    return fiedler(laplacian, v2, scratch)
+    return lambda2
 
 
 @kernel

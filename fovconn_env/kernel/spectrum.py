@@ -22,7 +22,7 @@ def fiedler(laplacian, v2, scratch):
     """lambda2 of a graph from its Laplacian (N, N), symmetric; writes its unit eigenvector to v2 (N,).
 
     v2 keeps the sign that agrees with what it held before; a fresh one (all zero) gets a positive largest entry.
-    A row without entries whose degree is negative is no vertex: v2 gets a 0 there. At least two rows are.
+    A row without entries whose degree is negative is no vertex, and its entry in v2 is none. At least two rows are.
     Destroys the Laplacian. scratch: (N + N_VECTORS, N).
     """
     a, n = laplacian, v2.shape[0]
