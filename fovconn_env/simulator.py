@@ -113,7 +113,10 @@ class Simulator:
         return observed_graph(self.state, slice(b, b + 1))
 
     def privileged(self) -> np.ndarray:
-        """(B, S) float32 for centralised critics, leader's yaw frame: `layout.STATE` a robot, then STATE_TEAM."""
+        """(B, S) float32 for centralised critics, leader's yaw frame: `layout.STATE` a robot, then STATE_TEAM.
+
+        A dead robot has a position and no heading: all else of it is 0.
+        """
         body, episode, lead = self.state.body, self.state.episode, self.scenario.leader_index
         origin = body[:, lead, None]
         c, s = origin["cos_yaw"], origin["sin_yaw"]
@@ -122,7 +125,7 @@ class Simulator:
             return c * dx + s * dy, c * dy - s * dx
 
         x, y = turn(body["x"] - origin["x"], body["y"] - origin["y"])
-        cos_yaw, sin_yaw = turn(body["cos_yaw"], body["sin_yaw"])
+        cos_yaw, sin_yaw = (heading * body["alive"] for heading in turn(body["cos_yaw"], body["sin_yaw"]))
         motion = [body[column.name] for column in layout.STATE[5:-1]]
         robots = np.stack([x, y, body["z"] - origin["z"], cos_yaw, sin_yaw, *motion, self.state.fiedler], axis=-1)
         here = np.stack([origin[name][:, 0] for name in "xyz"], axis=-1)

@@ -40,15 +40,12 @@ def look(bodies, pairs, piece, vertex, p):
             in_range = p.d_min < distance < p.d_max
             wanted = in_range and (a_ij > p.a_min or a_ji > p.a_min)
             blocked = p.occlusion and wanted and sight_blocked(a.x, a.y, a.z, b.x, b.y, b.z, piece, vertex)
-            clear = wanted and not blocked
+            linked = wanted and not blocked if p.link == BY_SIGHT else distance < p.d_max
             ij.cosine, ji.cosine, ij.blocked, ji.blocked = a_ij, a_ji, blocked, blocked
-            ij.seen = clear and a_ij > p.a_min and a.sees and b.alive  # f*_ij > 0 (10)
-            ji.seen = clear and a_ji > p.a_min and b.sees and a.alive
-            seen = ij.seen or ji.seen
-            linked = (seen if p.link == BY_SIGHT else distance < p.d_max) and a.talks and b.talks
+            ij.seen = in_range and a_ij > p.a_min and not blocked  # f*_ij > 0 (10)
+            ji.seen = in_range and a_ji > p.a_min and not blocked
             ij.linked = ji.linked = linked
-            ij.broken = ji.broken = clear and not seen
-            asleep = 0 if linked or seen else min(ij.asleep + 1, p.rest_ticks)
+            asleep = 0 if linked else min(ij.asleep + 1, p.rest_ticks)
             changed = changed or (asleep == p.rest_ticks) != (ij.asleep == p.rest_ticks)
             ij.asleep = ji.asleep = asleep
     return changed
@@ -56,7 +53,7 @@ def look(bodies, pairs, piece, vertex, p):
 
 @kernel
 def muster(pairs, who, whom, first, p):
-    """List the pairs that have to do with each other, by link or sight, or had so lately that some of it is on board.
+    """List the pairs that have to do with each other: linked, or so lately that something of it is left on board.
 
     Robot i's contacts, in ascending order, are whom[first[i] : first[i + 1]]; who holds i as often. Nothing changes
     between the others.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fovconn_env.kernel.camera import BY_SIGHT
 from fovconn_env.kernel.jit import kernel
 
 CAMERA, RADIO, ROBOT = range(3)  # settings.FAULTS
@@ -42,3 +43,22 @@ def wear(bodies, mail, faults, now):
             for slot in range(mail.shape[0]):
                 for j in range(bodies.shape[0]):
                     mail[slot, fault.robot, j].arrives = mail[slot, j, fault.robot].arrives = False
+
+
+@kernel
+def cut(bodies, pairs, p):
+    """Take from the pairs, as `look` leaves them, what their cameras, radios and robots are too dead for.
+
+    Whether a pair is asleep stays a matter of geometry: who visits one that has nothing to do changes nothing.
+    """
+    n = bodies.shape[0]
+    for i in range(n):
+        a = bodies[i]
+        for j in range(i + 1, n):
+            b, ij, ji = bodies[j], pairs[i, j], pairs[j, i]
+            before = ij.seen or ji.seen
+            ij.seen = ij.seen and a.sees and b.alive
+            ji.seen = ji.seen and b.sees and a.alive
+            after = ij.seen or ji.seen
+            ij.broken = ji.broken = before and not after
+            ij.linked = ji.linked = (after if p.link == BY_SIGHT else ij.linked) and a.talks and b.talks

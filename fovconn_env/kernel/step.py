@@ -9,7 +9,7 @@ from __future__ import annotations
 from fovconn_env import layout
 from fovconn_env.kernel import lambda2_estimator, random, yaw_estimator
 from fovconn_env.kernel.camera import feel, look, muster, see
-from fovconn_env.kernel.faults import repair, wear
+from fovconn_env.kernel.faults import cut, repair, wear
 from fovconn_env.kernel.flooding import assemble, enter, merge, put, solve
 from fovconn_env.kernel.geometry import clearance
 from fovconn_env.kernel.jit import entry, kernel
@@ -65,6 +65,8 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
                 move(bodies, flights, episode, p)
             if look(bodies, pairs, piece, vertex, p) or tick == 0:
                 muster(pairs, who, whom, first_of, p)
+            if task == ADVANCE and faults.shape[0] > 0:
+                cut(bodies, pairs, p)
             touch(bodies, piece, vertex, episode, p)
             if tick == ticks - 1:
                 episode.n_edges = weigh(pairs, infos, p)
@@ -109,7 +111,8 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
         own_rows, neighbor_rows = state.own_row[b], state.neighbor_row[b]
         inform(own, tracks, inboxes, beliefs, modes, whom, first_of, own_rows, neighbor_rows, infos, episode, p)
         measure(bodies, piece, vertex, state.range_row[b], episode, p)
-        darken(bodies, state.flat[b])
+        if faults.shape[0] > 0:
+            darken(bodies, state.flat[b])
         clip(state.flat[b], world.low, world.high)
         if task == ADVANCE:
             end(episode, arrived, p)

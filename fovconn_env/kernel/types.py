@@ -140,7 +140,7 @@ PAIR = _record(
         ("broken", "b1"),  # a camera or a robot is dead, or one would see the other
         ("seen", "b1"),  # i's camera can see j now
         ("linked", "b1"),  # messages pass now
-        ("asleep", "i8"),  # ticks since messages passed or one saw the other, up to rest_ticks
+        ("asleep", "i8"),  # ticks since messages could pass, but for faults, up to rest_ticks
         ("weight", "f8"),  # true A_ij at the end of the step
         ("watch", "f8"),  # true f*_ij at the end of the step
     ]
