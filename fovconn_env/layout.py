@@ -132,12 +132,13 @@ INFO = (
     Column("success", "0/1", "-", 0.0, 1.0, "the course is finished"),
     Column("collision", "0/1", "-", 0.0, 1.0, "a collision ended the episode"),
     Column("disconnected", "0/1", "-", 0.0, 1.0, "the team was split for longer than its patience"),
-    Column("lost_link_cause", "code", "-", 0.0, 4.0, "why it lost a link in this step, see LOST_LINK"),
+    Column("lost_link_cause", "code", "-", 0.0, 5.0, "why it lost a link in this step, see LOST_LINK"),
     Column("bytes_sent", "bytes", "-", 0.0, "inf", "bytes it sent in this step"),
     Column("neighbors_dropped", "robots", "-", 0.0, "inf", "neighbours beyond max_neighbors"),
+    Column("alive", "0/1", "-", 0.0, 1.0, "0 from the robot's death on"),
     *(Column(f"reward_{name}", "-", "-", "-inf", "inf", f"reward term: {name}") for name in REWARDS),
 )
-LOST_LINK = ("none", "range", "own field of view", "its field of view", "occlusion")
+LOST_LINK = ("none", "range", "own field of view", "its field of view", "occlusion", "fault")
 
 
 def record(table: tuple[Column, ...], number: str) -> np.dtype:

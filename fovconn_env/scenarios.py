@@ -20,6 +20,7 @@ from fovconn_env.settings import (
     Camera,
     Clock,
     Course,
+    Fault,
     Flooding,
     Noise,
     PowerIteration,
@@ -122,6 +123,7 @@ class Scenario:
     course: Course = field(default_factory=Course)
     reward: Reward = field(default_factory=Reward)
     map: Map | Forest | None = None  # obstacles: given, drawn at random, or none
+    faults: tuple[Fault, ...] = ()  # what dies in an episode, see Fault below
 
     def __post_init__(self) -> None:
         for name in _GROUPS:
@@ -146,11 +148,20 @@ class Scenario:
         hint = "robots would collide before they may meet"
         apart = self.start.spacing > self.collision_robot
         rule(apart, "Start.spacing", f"above collision_robot ({self.collision_robot:g})", self.start.spacing, hint)
+        self._check_faults()
         if not isinstance(self.map, (Map, Forest, type(None))):
             hint = "a file, .json or .svg, goes through Map.from_file"
             raise TypeError(f"Scenario.map must be a Map, a Forest or None, got {self.map!r}: {hint}")
         if isinstance(self.map, Map):  # a Map can be added to, a scenario is frozen
             object.__setattr__(self, "map", copy.copy(self.map))
+
+    def _check_faults(self) -> None:
+        if not isinstance(self.faults, tuple) or not all(isinstance(fault, Fault) for fault in self.faults):
+            hint = "write faults=(Fault(...),)"
+            raise TypeError(f"Scenario.faults must be a tuple of Faults, got {self.faults!r}: {hint}")
+        for k, fault in enumerate(self.faults):
+            inside, says = fault.robot is None or fault.robot < self.n_agents, f"in 0..{self.n_agents - 1}"
+            rule(inside, f"Scenario.faults[{k}].robot", says, fault.robot, "robots are counted from 0")
 
     @property
     def step_time(self) -> float:
@@ -223,6 +234,15 @@ PRESETS: dict[str, Scenario] = {
             name="TiltDynamics-v0",
             dynamics="quadrotor",
             airframe=Airframe(rotor_noise=0.01, force_noise=0.2),
+        ),
+        Scenario(  # followers fail: a camera, a radio for a while, a whole robot
+            name="Blackout-v0",
+            patience=math.inf,
+            faults=(
+                Fault(kind="camera", at=(10.0, 40.0)),
+                Fault(kind="radio", at=(10.0, 40.0), lasts=10.0),
+                Fault(kind="robot", at=(10.0, 40.0)),
+            ),
         ),
     )
 }

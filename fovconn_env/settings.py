@@ -11,7 +11,7 @@ import math
 import numbers
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -306,3 +306,29 @@ class Reward:
         check_numbers(
             self, above="near", at_least="connectivity progress proximity effort success collision disconnected"
         )
+
+
+FAULTS = ("camera", "radio", "robot")  # the order is the number the kernels compare with
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """Something of a robot dies in the course of an episode."""
+
+    kind: Literal["camera", "radio", "robot"] = "robot"
+    robot: int | None = None  # counted from 0; None: a follower drawn for each episode, each fault another one
+    at: float | tuple[float, float] = (10.0, 40.0)  # s after the clock starts; low and high: drawn for each episode
+    lasts: float = math.inf  # s, then it works again
+
+    def __post_init__(self) -> None:
+        check_numbers(self, above="lasts", infinite="lasts")
+        rule(self.kind in FAULTS, "Fault.kind", "one of " + ", ".join(FAULTS), self.kind, "what dies")
+        if self.robot is not None:
+            whole = isinstance(self.robot, numbers.Integral) and not isinstance(self.robot, bool)
+            says = "a whole number from 0 on, or None"
+            rule(whole and self.robot >= 0, "Fault.robot", says, self.robot, "None draws a follower")
+        when = as_numbers("Fault.at", self.at)
+        shaped = isinstance(self.at, numbers.Real) or (isinstance(self.at, tuple) and when.shape == (2,))
+        fine = shaped and np.isfinite(when).all() and (when >= 0).all() and (np.diff(np.ravel(when)) >= 0).all()
+        hint = "seconds after the clock starts; of two numbers the first is the earliest"
+        rule(bool(fine), "Fault.at", "a time from 0 on, or two in order", self.at, hint)

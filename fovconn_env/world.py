@@ -5,6 +5,7 @@ World frame, metres and radians. Draws are bounded: a scenario that leaves no ro
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -15,7 +16,7 @@ from fovconn_env.kernel import step, types
 from fovconn_env.kernel.spectrum import N_VECTORS
 from fovconn_env.maps import Forest, Map
 from fovconn_env.scenarios import Scenario
-from fovconn_env.settings import as_numbers
+from fovconn_env.settings import FAULTS, as_numbers
 
 MAX_TRIES = 2000  # starts drawn before giving up
 MAX_MAPS = 20  # random maps drawn before giving up
@@ -29,6 +30,7 @@ class Start(NamedTuple):
     waypoints: np.ndarray  # (W, 3), W = 0 without a course
     pieces: np.ndarray  # (P,) PIECE
     vertices: np.ndarray  # (V, 2)
+    faults: np.ndarray = np.zeros(0, types.FAULT)  # (F,)
 
 
 def allocate(scenario: Scenario, n_worlds: int, n_pieces: int, n_vertices: int) -> tuple[types.World, types.State]:
@@ -41,6 +43,7 @@ def allocate(scenario: Scenario, n_worlds: int, n_pieces: int, n_vertices: int) 
         vertex=np.zeros((b, n_vertices, 2)),
         waypoint=np.zeros((b, max(scenario.course.legs, 1), 3)),
         n_waypoints=np.zeros(b, np.int64),
+        fault=np.zeros((b, len(scenario.faults)), types.FAULT),
         low=low,
         high=high,
     )
@@ -210,6 +213,24 @@ class Scout:
     def _start(self, poses: np.ndarray, waypoints: np.ndarray, obstacles: Map | None) -> Start:
         pieces, vertices = obstacles.flatten() if obstacles is not None else NO_OBSTACLES
         return Start(poses, waypoints, pieces, vertices)
+
+
+def draw_faults(scenario: Scenario, rng: np.random.Generator) -> np.ndarray:
+    """A scenario's faults in one episode, (F,) FAULT, nothing left open; without any, nothing is drawn.
+
+    Robots that are drawn are neither the leader nor named by another fault, nor twice the same, while there are others.
+    """
+    faults = np.zeros(len(scenario.faults), types.FAULT)
+    if any(fault.robot is None for fault in scenario.faults):
+        spared = {fault.robot for fault in scenario.faults}
+        lead = {scenario.leader_index} if scenario.leader != "none" else set()
+        followers = [i for i in range(scenario.n_agents) if i not in lead]
+        drawn = itertools.cycle(rng.permutation([i for i in followers if i not in spared] or followers).tolist())
+    for record, fault in zip(faults, scenario.faults, strict=True):
+        at = rng.uniform(*fault.at) if isinstance(fault.at, tuple) else fault.at
+        record["robot"] = next(drawn) if fault.robot is None else fault.robot
+        record["kind"], record["at"], record["until"] = FAULTS.index(fault.kind), at, at + fault.lasts
+    return faults
 
 
 NO_OBSTACLES = (np.zeros(0, types.PIECE), np.zeros((0, 2)))

@@ -14,7 +14,7 @@ import pytest
 from fovconn_env import simulator as simulator_module
 from fovconn_env.kernel import step
 from fovconn_env.scenarios import PRESETS, scenario
-from fovconn_env.settings import Airframe, Camera, Course, Noise, Radio
+from fovconn_env.settings import Airframe, Camera, Course, Fault, Noise, Radio
 from fovconn_env.simulator import Simulator
 from tests.helpers import differing, digest, recorded_actions, snapshot
 
@@ -25,6 +25,7 @@ ROUGH = {
     "radio": Radio(loss=0.1),
     "airframe": Airframe(rotor_noise=0.02, force_noise=0.3),
     "dynamics": "quadrotor",
+    "faults": tuple(Fault(kind=kind, at=(0.2, 2.0), lasts=0.5) for kind in ("camera", "radio", "robot")),
 }
 CASES = {**{name: (name, {}) for name in PRESETS}, "rough": ("LeaderObstacles-v0", ROUGH)}
 CASES["flooding"] = "LeaderFollow-v0", {"lambda2": "flooding", "radio": Radio(loss=0.1, delay=3)}

@@ -23,6 +23,7 @@ from torchrl.envs import EnvBase, PettingZooWrapper
 import fovconn_env
 
 SCENARIOS = {
+    "BLACKOUT": "Blackout-v0",
     "LEADER_FOLLOW": "LeaderFollow-v0",
     "TILT_DYNAMICS": "TiltDynamics-v0",
     "REGROUP": "Regroup-v0",

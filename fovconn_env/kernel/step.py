@@ -9,6 +9,7 @@ from __future__ import annotations
 from fovconn_env import layout
 from fovconn_env.kernel import lambda2_estimator, random, yaw_estimator
 from fovconn_env.kernel.camera import feel, look, muster, see
+from fovconn_env.kernel.faults import cut, repair, wear
 from fovconn_env.kernel.flooding import assemble, enter, merge, put, solve
 from fovconn_env.kernel.geometry import clearance
 from fovconn_env.kernel.jit import entry, kernel
@@ -45,7 +46,7 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
         own, sights, inboxes = state.own[b], state.sight[b], state.inbox[b]
         tracks, beliefs, v2 = state.track[b], state.belief[b], state.fiedler[b]
         tables, modes = state.table[b], state.mode[b]
-        piece, vertex = world.piece[b], world.vertex[b]
+        piece, vertex, faults = world.piece[b], world.vertex[b], world.fault[b]
         stick_x, stick_y, stick_z = episode.stick_x, episode.stick_y, episode.stick_z
         ticks = p.ticks if task == ADVANCE else warm_ticks
         slots = state.mail.shape[1]  # rounds a message travels
@@ -59,13 +60,17 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
 
         for tick in range(ticks):
             if task == ADVANCE:
+                if faults.shape[0] > 0:
+                    wear(bodies, state.mail[b], faults, (episode.step * p.ticks + tick) * p.tick)
                 move(bodies, flights, episode, p)
             if look(bodies, pairs, piece, vertex, p) or tick == 0:
                 muster(pairs, who, whom, first_of, p)
+            if task == ADVANCE and faults.shape[0] > 0:
+                cut(bodies, pairs, p)
             touch(bodies, piece, vertex, episode, p)
             if tick == ticks - 1:
                 episode.n_edges = weigh(pairs, infos, p)
-                episode.lambda2 = connectivity(pairs, v2, scratch.laplacian, scratch.spectrum)
+                episode.lambda2 = connectivity(bodies, pairs, v2, scratch.laplacian, scratch.spectrum)
                 if p.lambda2 == lambda2_estimator.TRUE:
                     reveal_lambda2(beliefs, episode.lambda2, v2)
             sense(bodies, pairs, own, sights, tracks, who, whom, first_of[n], episode, p)
@@ -106,6 +111,8 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
         own_rows, neighbor_rows = state.own_row[b], state.neighbor_row[b]
         inform(own, tracks, inboxes, beliefs, modes, whom, first_of, own_rows, neighbor_rows, infos, episode, p)
         measure(bodies, piece, vertex, state.range_row[b], episode, p)
+        if faults.shape[0] > 0:
+            darken(bodies, state.flat[b])
         clip(state.flat[b], world.low, world.high)
         if task == ADVANCE:
             end(episode, arrived, p)
@@ -118,15 +125,22 @@ def start(bodies, flights, inboxes, tracks, beliefs, key, p):
     """Robots stand or hover where they are; estimators know nothing yet."""
     n = bodies.shape[0]
     for i in range(n):
-        if p.dynamics == QUADROTOR:
-            hover(bodies[i], flights[i], p)
-        else:
-            stand(bodies[i], p)
+        repair(bodies[i])
+        rest(bodies[i], flights[i], p)
         if p.lambda2 == lambda2_estimator.POWER:
             awaken(beliefs[i], 2.0 * random.uniform(random.draw(key, 0, i, random.START)) - 1.0)
         for j in range(n):
             inboxes[i, j].age = p.memory
             tracks[i, j].cos_yaw = tracks[i, j].cos_used = 1.0
+
+
+@kernel
+def rest(body, flight, p):
+    """A robot stands or hovers where it is."""
+    if p.dynamics == QUADROTOR:
+        hover(body, flight, p)
+    else:
+        stand(body, p)
 
 
 @kernel
@@ -141,9 +155,11 @@ def obey(bodies, actions, stick_x, stick_y, stick_z, p):
 
 @kernel
 def move(bodies, flights, episode, p):
-    """Move every robot by one tick along its command."""
+    """Move every robot by one tick along its command; a dead one stays where it is, level."""
     for i in range(bodies.shape[0]):
-        if p.dynamics == QUADROTOR:
+        if not bodies[i].alive:
+            rest(bodies[i], flights[i], p)
+        elif p.dynamics == QUADROTOR:
             fly(bodies[i], flights[i], p, episode.key, episode.n_rounds, i)
         else:
             glide(bodies[i], p)
@@ -273,3 +289,12 @@ def measure(bodies, piece, vertex, range_rows, episode, p):
     """Write every robot's range points into its observation."""
     for i in range(bodies.shape[0]):
         scan(bodies, i, piece, vertex, range_rows[i], episode.key, episode.n_rounds, p)
+
+
+@kernel
+def darken(bodies, flat):
+    """A dead robot observes nothing: zeros."""
+    for i in range(bodies.shape[0]):
+        if not bodies[i].alive:
+            for k in range(flat.shape[1]):
+                flat[i, k] = 0.0

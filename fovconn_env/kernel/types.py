@@ -80,6 +80,16 @@ PIECE = _record(
 )
 
 
+FAULT = _record(
+    [
+        ("robot", "i8"),
+        ("kind", "i8"),  # place in settings.FAULTS
+        ("at", "f8"),  # s on the clock
+        ("until", "f8"),  # s, it works again
+    ]
+)
+
+
 class World(NamedTuple):
     """What does not change in an episode. World frame."""
 
@@ -87,6 +97,7 @@ class World(NamedTuple):
     vertex: np.ndarray  # (B, V, 2) m, corners of the cores, counter-clockwise
     waypoint: np.ndarray  # (B, W, 3) m
     n_waypoints: np.ndarray  # (B,) int64
+    fault: np.ndarray  # (B, F) FAULT
     low: np.ndarray  # (D,) float32, bounds of a flat observation
     high: np.ndarray  # (D,)
 
@@ -103,6 +114,8 @@ BODY = _record(
         *_numbers("command_vx command_vy command_vz command_yaw_rate"),  # yaw frame, saturated
         *_numbers("nearest"),  # m, least distance of centres to another robot at this tick
         *_numbers("clearance"),  # m, least distance to an obstacle at this tick
+        # what works at this tick; of a dead robot nothing does
+        *((name, "b1") for name in "alive sees talks".split()),  # robot, camera, radio
     ]
 )
 # Rigid body, rotors and flight controller of the quadrotor model. World frame unless said.
@@ -124,9 +137,10 @@ PAIR = _record(
         *_numbers("distance"),
         *_numbers("cosine"),  # a_ij: between i's optical axis and the direction of j; old where j is out of reach
         ("blocked", "b1"),  # an obstacle stands in the line of sight
+        ("broken", "b1"),  # a camera or a robot is dead, or one would see the other
         ("seen", "b1"),  # i's camera can see j now
         ("linked", "b1"),  # messages pass now
-        ("asleep", "i8"),  # ticks since messages passed, up to rest_ticks
+        ("asleep", "i8"),  # ticks since messages could pass, but for faults, up to rest_ticks
         ("weight", "f8"),  # true A_ij at the end of the step
         ("watch", "f8"),  # true f*_ij at the end of the step
     ]
