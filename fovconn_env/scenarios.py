@@ -147,7 +147,7 @@ class Scenario:
         apart = self.start.spacing > self.collision_robot
         rule(apart, "Start.spacing", f"above collision_robot ({self.collision_robot:g})", self.start.spacing, hint)
         if not isinstance(self.map, (Map, Forest, type(None))):
-            hint = "a file goes through Map.from_file"
+            hint = "a file, .json or .svg, goes through Map.from_file"
             raise TypeError(f"Scenario.map must be a Map, a Forest or None, got {self.map!r}: {hint}")
         if isinstance(self.map, Map):  # a Map can be added to, a scenario is frozen
             object.__setattr__(self, "map", copy.copy(self.map))
@@ -244,8 +244,9 @@ def scenario(base: str | Scenario = "LeaderFollow-v0", /, **changes: Any) -> Sce
         base = PRESETS[name]
     elif not isinstance(base, Scenario):
         raise TypeError(f"scenario must be an id or a Scenario, got {base!r}")
-    if isinstance(changes.get("map"), (str, Path)):
-        changes["map"] = Map.from_file(changes["map"])
+    file = changes.get("map")
+    if isinstance(file, (str, Path)) and Path(file).suffix:  # another word is Scenario's to refuse
+        changes["map"] = Map.from_file(file)
     inner: dict[str, dict[str, Any]] = {}
     for name in [name for name in changes if "." in name]:
         group, _, field_name = name.partition(".")

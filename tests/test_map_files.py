@@ -387,7 +387,7 @@ def test_without_the_package_the_error_says_what_to_install(tmp_path, monkeypatc
 def test_a_scenario_takes_a_file(tmp_path):
     file = written(tmp_path, [CIRCLE])
     assert scenario(map=file).map == scenario(map=str(file)).map == Map().circle((0, 0), 1)
-    with pytest.raises(TypeError, match=r"Scenario.map must be a Map, .*a file goes through Map.from_file"):
+    with pytest.raises(TypeError, match=r"Scenario.map must be .*a file, .json or .svg, goes through Map.from_file"):
         Scenario(map=str(file))
     with pytest.raises(FileNotFoundError):
         scenario(map="nowhere.json")
