@@ -51,7 +51,7 @@ class Corridor:
         middle = first + rng.uniform(low, high) * along
         near = (rng.uniform(*self.width) + self.depth) / 2  # from the middle to the centre of a round end
         side, result = np.array([-along[1], along[0]]), Map()
-        for sign in (-1.0, 1.0):
-            ends = (middle + sign * reach * side for reach in (near, near + self.reach))
-            result.wall(*ends, self.depth, low=self.low, high=self.high)
+        for outwards in (-side, side):
+            start, end = middle + near * outwards, middle + (near + self.reach) * outwards
+            result.wall(start, end, self.depth, low=self.low, high=self.high)
         return result

@@ -192,7 +192,8 @@ def test_spaces(name, flat):
             assert np.isfinite(leaf.low).all()
             assert np.isfinite(leaf.high).all()
             assert (leaf.low < leaf.high).all()
-    assert len({id(space) for space in env.action_spaces.values()}) == len(env.possible_agents)  # each is seeded by itself
+    ids = {id(space) for space in env.action_spaces.values()}
+    assert len(ids) == len(env.possible_agents)  # each is seeded by itself
     assert env.metadata["name"] == "fovconn_v0"
     assert env.metadata["is_parallelizable"]
     assert not hasattr(env, "num_envs")
