@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fovconn_env import layout
+from fovconn_env.corridor import Corridor
 from fovconn_env.kernel import step, types
 from fovconn_env.kernel.spectrum import N_VECTORS
 from fovconn_env.maps import Forest, Map
@@ -113,12 +114,17 @@ class Scout:
 
         Raises `ValueError` if no start is found, or if given poses overlap or stand in an obstacle.
         """
-        forest = isinstance(self.scenario.map, Forest)
-        for _ in range(MAX_MAPS if forest else 1):
+        drawn = isinstance(self.scenario.map, (Forest, Corridor))
+        for _ in range(MAX_MAPS if drawn else 1):
             start = self._draw_once(rng, poses)
             if start is not None:
                 return start
         s = self.scenario.start
+        if poses is not None:
+            raise ValueError(
+                f"Course must leave {s.clearance:g} m for a wall between poses and second way point, found no room in "
+                f"{MAX_MAPS} draws: lengthen Course.leg, lower Start.clearance, or give poses closer together"
+            )
         raise ValueError(
             f"Start must allow lambda2 in ({s.lambda2_low:g}, {s.lambda2_high:g}), spacing {s.spacing:g} m and "
             f"clearance {s.clearance:g} m, found no start in {MAX_TRIES} draws of {self.scenario.n_agents} robots: "
@@ -126,18 +132,20 @@ class Scout:
         )
 
     def _draw_once(self, rng: np.random.Generator, poses: np.ndarray | None) -> Start | None:
-        given, scenario = poses is not None, self.scenario
-        if isinstance(scenario.map, Forest) or scenario.map is None:
+        scenario = self.scenario
+        if not isinstance(scenario.map, Map):
             team = check_poses(poses, scenario) if poses is not None else self._poses(rng, None)
             if team is None:
                 return None
             waypoints = self._course(rng, team)
-            obstacles = self._forest(rng, team, waypoints)
-            if obstacles is not None and given:
+            if scenario.map is None:
+                return self._start(team, waypoints, None)
+            obstacles = self._generated(scenario.map, rng, team, waypoints)
+            if obstacles is not None and poses is not None:
                 check_room(team, obstacles, scenario)
-            if obstacles is None or given or self._fits(team, obstacles):
-                return self._start(team, waypoints, obstacles)
-            return None
+            if obstacles is None or (poses is None and not self._fits(team, obstacles)):
+                return None
+            return self._start(team, waypoints, obstacles)
         obstacles = scenario.map
         team = check_poses(poses, scenario) if poses is not None else self._poses(rng, obstacles)
         if team is None:
@@ -202,13 +210,16 @@ class Scout:
             heading += rng.choice([-1.0, 1.0]) * rng.uniform(course.turn_low, course.turn_high)
         return np.array(points)
 
-    def _forest(self, rng: np.random.Generator, poses: np.ndarray, waypoints: np.ndarray) -> Map | None:
-        forest = self.scenario.map
-        if not isinstance(forest, Forest):
-            return None
+    def _generated(
+        self, kind: Forest | Corridor, rng: np.random.Generator, poses: np.ndarray, waypoints: np.ndarray
+    ) -> Map | None:
+        """A map drawn for this team and course, None where they leave no room for one."""
+        clearance = self.scenario.start.clearance
+        if isinstance(kind, Corridor):
+            return kind.generate(rng, poses[:, :3], waypoints, clearance)
         places = np.vstack([poses[:, :3], waypoints])
         low, high = places[:, :2].min(0) - MARGIN, places[:, :2].max(0) + MARGIN
-        return forest.generate(rng, (low[0], high[0], low[1], high[1]), places, self.scenario.start.clearance)
+        return kind.generate(rng, (low[0], high[0], low[1], high[1]), places, clearance)
 
     def _start(self, poses: np.ndarray, waypoints: np.ndarray, obstacles: Map | None) -> Start:
         pieces, vertices = obstacles.flatten() if obstacles is not None else NO_OBSTACLES

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from fovconn_env import layout, settings
+from fovconn_env.corridor import Corridor
 from fovconn_env.kernel import faults, judge, lambda2_estimator, pilot, step, types, weights, yaw_estimator
 from fovconn_env.kernel.camera import BY_RANGE, BY_SIGHT
 from fovconn_env.maps import Forest, Map
@@ -35,6 +36,7 @@ LAYERS = [
     ["fovconn_env.outlines", "fovconn_env.settings"],
     ["fovconn_env.map_files", "fovconn_env.svg"],
     ["fovconn_env.maps"],
+    ["fovconn_env.corridor"],
     ["fovconn_env.scenarios"],
     ["fovconn_env.world"],
     ["fovconn_env.graph", "fovconn_env.simulator"],
@@ -263,7 +265,7 @@ def test_presets_are_named_and_build():
     for name, preset in PRESETS.items():
         assert preset.name == name
         assert scenario(f"fovconn/{name}") is not None
-        assert isinstance(preset.map, (Map, Forest, type(None)))
+        assert isinstance(preset.map, (Map, Forest, Corridor, type(None)))
 
 
 @pytest.mark.parametrize("name", [name for name in FILES.values() if name.split(".")[0] in PACKAGES[:3]])
