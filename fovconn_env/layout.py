@@ -44,6 +44,7 @@ SELF = (
     *_MOTION,
     Column("lambda2_hat", "-", "-", 0.0, "lambda2", "own estimate of lambda2"),
     Column("v2_hat", "-", "-", -2.0, 2.0, "own entry of the estimated unit eigenvector v2"),
+    Column("team_share", "share", "-", 0.0, 1.0, "share of the team it has word of, itself included; below 1: split"),
     Column("is_leader", "0/1", "-", 0.0, 1.0, "1 for the robot the operator pulls"),
     *_vector("stick_", "xyz", "m/s", "yaw", "stick", "operator's velocity, added in the next step (leader only)"),
 )
@@ -96,6 +97,11 @@ BROADCAST = (
 )  # fmt: skip
 MESSAGE = (*NOTE, *BROADCAST)
 BYTES_PER_MESSAGE = 4 * len(MESSAGE)  # on air every field is one 32-bit number
+
+
+def bytes_per_beats(n_agents: int) -> int:
+    """What the first message of a tick carries more: a byte for the age of each robot's last beat."""
+    return n_agents
 
 
 def bytes_per_table(n_agents: int) -> int:

@@ -137,9 +137,10 @@ class Radio:
     loss: float = 0.0  # share of messages lost, each by itself
     delay: int = 1  # rounds from writing to delivery, at least 1
     memory: float = 0.05  # s after which a neighbour that stays silent is dropped
+    liveness: float = 1.0  # s without word of a robot, passed on by others, after which it counts as gone
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="memory delay", share="loss")
+        check_numbers(self, above="memory delay liveness", share="loss")
 
 
 @dataclass(frozen=True, kw_only=True)

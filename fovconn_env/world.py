@@ -61,6 +61,8 @@ def allocate(scenario: Scenario, n_worlds: int, n_pieces: int, n_vertices: int) 
         inbox=np.zeros((b, n, n), types.INBOX),
         track=np.zeros((b, n, n), types.TRACK),
         belief=np.zeros((b, n), types.BELIEF),
+        beat=np.zeros((b, n, n), np.int64),
+        beat_air=np.zeros((b, scenario.radio.delay, n, n), np.int64),
         table=np.zeros((b, n, flooded, entries)),
         air=np.zeros((b, scenario.radio.delay, n, flooded, entries)),
         mode=np.zeros((b, n, flooded)),

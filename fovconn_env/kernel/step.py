@@ -16,6 +16,7 @@ from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.judge import connectivity, end, reward, tell, weigh
 from fovconn_env.kernel.kinematic import command, glide, stand, steady
 from fovconn_env.kernel.lambda2_estimator import agree, awaken, conclude, know, power_round
+from fovconn_env.kernel.liveness import hear_beats, share_there, tell_beats
 from fovconn_env.kernel.observe import clip, observe_neighbors, observe_self
 from fovconn_env.kernel.pilot import NOBODY, steer
 from fovconn_env.kernel.quadrotor import fly, hover
@@ -25,7 +26,7 @@ from fovconn_env.kernel.yaw_estimator import attend, estimate_yaw, reckon
 
 ADVANCE, BEGIN = range(2)
 KINEMATIC, QUADROTOR = range(2)  # scenarios.SWITCHES["dynamics"]
-bytes_per_table = kernel(layout.bytes_per_table)
+bytes_per_table, bytes_per_beats = kernel(layout.bytes_per_table), kernel(layout.bytes_per_beats)
 
 
 @entry
@@ -45,7 +46,7 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
         bodies, flights, pairs, infos = state.body[b], state.flight[b], state.pair[b], state.info[b]
         own, sights, inboxes = state.own[b], state.sight[b], state.inbox[b]
         tracks, beliefs, v2 = state.track[b], state.belief[b], state.fiedler[b]
-        tables, modes = state.table[b], state.mode[b]
+        tables, modes, beats = state.table[b], state.mode[b], state.beat[b]
         piece, vertex, faults = world.piece[b], world.vertex[b], world.fault[b]
         stick_x, stick_y, stick_z = episode.stick_x, episode.stick_y, episode.stick_z
         ticks = p.ticks if task == ADVANCE else warm_ticks
@@ -77,11 +78,18 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
             for k in range(p.rounds):
                 slot = episode.n_rounds % slots
                 post, mail, air = state.post[b, slot], state.mail[b, slot], state.air[b, slot]
+                beat_air = state.beat_air[b, slot]
                 news = (episode.n_rounds - slots) % p.rounds == 0  # the first messages of a tick arrive
                 exchange(post, mail, inboxes, tracks, who, whom, first_of[n], news, p)
                 if slot == 0 and p.lambda2 == lambda2_estimator.POWER:
                     estimate_lambda2(beliefs, tracks, post, inboxes, whom, first_of, p)
                 n_bytes = layout.BYTES_PER_MESSAGE * (p.rounds if repeats else 1)
+                if news:
+                    listen(beats, beat_air, mail, who, whom, first_of[n])
+                if k == 0:
+                    for i in range(n):
+                        tell_beats(beat_air[i], beats[i], i, episode.n_rounds // p.rounds + 1)
+                    n_bytes += bytes_per_beats(n)
                 if p.lambda2 == lambda2_estimator.FLOODING:
                     if news:
                         gather(tables, air, mail, who, whom, first_of[n])
@@ -109,7 +117,7 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
             solve_tables(beliefs, tables, modes, scratch, episode.n_rounds // p.rounds, p)
         arrived = steer(bodies[p.leader_index], world.waypoint[b], world.n_waypoints[b], episode, p)
         own_rows, neighbor_rows = state.own_row[b], state.neighbor_row[b]
-        inform(own, tracks, inboxes, beliefs, modes, whom, first_of, own_rows, neighbor_rows, infos, episode, p)
+        inform(own, tracks, inboxes, beliefs, beats, modes, whom, first_of, own_rows, neighbor_rows, infos, episode, p)
         measure(bodies, piece, vertex, state.range_row[b], episode, p)
         if faults.shape[0] > 0:
             darken(bodies, state.flat[b])
@@ -205,6 +213,15 @@ def estimate_lambda2(beliefs, tracks, post, inboxes, whom, first, p):
 
 
 @kernel
+def listen(beats, air, mail, who, whom, count):
+    """On board of every robot: what arrives in this round about who is there."""
+    for k in range(count):
+        i, j = who[k], whom[k]
+        if mail[j, i].arrives:
+            hear_beats(beats[i], air[j])
+
+
+@kernel
 def gather(tables, air, mail, who, whom, count):
     """On board of every robot: what is new in the tables that arrive in this round."""
     for k in range(count):
@@ -275,11 +292,12 @@ def override_yaw(bodies, tracks, p):
 
 
 @kernel
-def inform(own, tracks, inboxes, beliefs, modes, whom, first, own_rows, neighbor_rows, infos, episode, p):
+def inform(own, tracks, inboxes, beliefs, beats, modes, whom, first, own_rows, neighbor_rows, infos, episode, p):
     """Write what every robot has on board into its observation."""
     for i in range(own.shape[0]):
+        there = share_there(beats[i], episode.n_rounds // p.rounds, p)
         leads, known = i == p.leader_index and p.leader != NOBODY, whom[first[i] : first[i + 1]]
-        observe_self(own_rows[i], own[i], beliefs[i], leads, episode.stick_x, episode.stick_y, episode.stick_z)
+        observe_self(own_rows[i], own[i], beliefs[i], there, leads, episode.stick_x, episode.stick_y, episode.stick_z)
         dropped = observe_neighbors(neighbor_rows[i], tracks[i], inboxes[i], beliefs[i], modes[i], known, p)
         infos[i].neighbors_dropped = dropped
 

@@ -49,7 +49,7 @@ PARAMS = _record(
         *_numbers("d_min D1 D2 d_max a_min a_max axis_x axis_y axis_z miss coast"),
         ("occlusion", "b1"),
         *_numbers("range_max"),
-        *_numbers("loss memory"),
+        *_numbers("loss memory liveness"),
         *_numbers("yaw_k1 yaw_k2 yaw_k3 yaw_v_min yaw_v_max yaw_hold"),
         ("yaw_product", "b1"),
         ("yaw_lag_free", "b1"),
@@ -239,6 +239,8 @@ class State(NamedTuple):
     inbox: np.ndarray  # (B, N, N) INBOX: [receiver, sender]
     track: np.ndarray  # (B, N, N) TRACK
     belief: np.ndarray  # (B, N) BELIEF
+    beat: np.ndarray  # (B, N, N) int64, ticks in which each was last known to be there, see liveness.py: [knows, of]
+    beat_air: np.ndarray  # (B, L, N, N) int64, on the air: [slot, sender, of]
     # of lambda2 = "flooding"; elsewhere the sizes behind the robot's are 0
     table: np.ndarray  # (B, N, N, N + 1) each robot's table, see flooding.py
     air: np.ndarray  # (B, L, N, N, N + 1) tables on the air: [slot, sender]
