@@ -7,6 +7,7 @@ import dataclasses
 import difflib
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -147,8 +148,8 @@ class Scenario:
         apart = self.start.spacing > self.collision_robot
         rule(apart, "Start.spacing", f"above collision_robot ({self.collision_robot:g})", self.start.spacing, hint)
         if not isinstance(self.map, (Map, Forest, Corridor, type(None))):
-            says = "a Map, a Forest, a Corridor or None"
-            raise TypeError(f"Scenario.map must be {says}, got {self.map!r}: see fovconn_env.Map")
+            says, hint = "a Map, a Forest, a Corridor or None", "a file, .json or .svg, goes through Map.from_file"
+            raise TypeError(f"Scenario.map must be {says}, got {self.map!r}: {hint}")
         if isinstance(self.map, Corridor):
             hint = "a Corridor stands across the second leg of the leader's course"
             rule(self.leader != "none", "Scenario.leader", "waypoints with a Corridor", self.leader, hint)
@@ -290,7 +291,8 @@ LEVELS: dict[str, tuple[dict[str, Any], ...]] = {
 def scenario(base: str | Scenario = "LeaderFollow-v0", /, *, level: int = 1, **changes: Any) -> Scenario:
     """A preset by id (with or without "fovconn/"), at a level of `LEVELS`, or a `Scenario`, with settings changed.
 
-    One setting of a group goes by its dotted name: `scenario("LeaderFollow-v0", **{"camera.a_min": 0.5})`.
+    One setting of a group goes by its dotted name: `scenario("LeaderFollow-v0", **{"camera.a_min": 0.5})`; a map may be
+    the name of a file (`Map.from_file`).
     Raises `ValueError` for an unknown id or setting, naming the nearest ones there are, and for an unknown level.
     """
     if isinstance(base, str):
@@ -304,6 +306,9 @@ def scenario(base: str | Scenario = "LeaderFollow-v0", /, *, level: int = 1, **c
         raise TypeError(f"scenario must be an id or a Scenario, got {base!r}")
     elif level != 1:
         raise ValueError(f"level must go with an id, got {level!r} with a Scenario: it has the settings of its level")
+    file = changes.get("map")
+    if isinstance(file, (str, Path)) and Path(file).suffix:  # another word is Scenario's to refuse
+        changes["map"] = Map.from_file(file)
     inner: dict[str, dict[str, Any]] = {}
     for name in [name for name in changes if "." in name]:
         group, _, field_name = name.partition(".")
