@@ -151,8 +151,7 @@ class Scenario:
         rule(apart, "Start.spacing", f"above collision_robot ({self.collision_robot:g})", self.start.spacing, hint)
         self._check_faults()
         if not isinstance(self.map, (Map, Forest, Corridor, type(None))):
-            hint = "a file, .json or .svg, goes through Map.from_file"
-            says = "a Map, a Forest, a Corridor or None"
+            says, hint = "a Map, a Forest, a Corridor or None", "a file, .json or .svg, goes through Map.from_file"
             raise TypeError(f"Scenario.map must be {says}, got {self.map!r}: {hint}")
         if isinstance(self.map, Corridor):
             hint = "a Corridor stands across the second leg of the leader's course"
@@ -314,8 +313,7 @@ def scenario(base: str | Scenario = "LeaderFollow-v0", /, *, level: int = 1, **c
 
     One setting of a group goes by its dotted name: `scenario("LeaderFollow-v0", **{"camera.a_min": 0.5})`; a map may be
     the name of a file (`Map.from_file`).
-    Raises `ValueError` for an unknown id or setting, naming the nearest ones there are, and for an
-    unknown level.
+    Raises `ValueError` for an unknown id or setting, naming the nearest ones there are, and for an unknown level.
     """
     if isinstance(base, str):
         name = base.removeprefix("fovconn/")
