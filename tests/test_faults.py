@@ -15,7 +15,7 @@ from fovconn_env.metrics import SPLIT_CAUSE, Meter
 from fovconn_env.scenarios import PRESETS
 from fovconn_env.world import draw_faults
 from tests import reference as ref
-from tests.helpers import differing, few, recorded_actions, small, snapshot
+from tests.helpers import JIT, differing, few, recorded_actions, small, snapshot
 
 pytestmark = pytest.mark.nojit
 
@@ -402,6 +402,7 @@ def test_each_world_has_its_own_faults():
 
 
 # ---------------------------------------------------------------------------------------------------------- policies
+@pytest.mark.skipif(not JIT, reason="each takes seconds without the JIT, and the kernels are those of other tests")
 @pytest.mark.parametrize("name", POLICIES)
 def test_policies_fly_on(name):
     """Whatever fails, actions are finite, also those of the dead, who observe zeros."""
