@@ -61,13 +61,12 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
 
         for tick in range(ticks):
             if task == ADVANCE:
-                if faults.shape[0] > 0:
-                    wear(bodies, state.mail[b], faults, (episode.step * p.ticks + tick) * p.tick)
                 move(bodies, flights, episode, p)
             if look(bodies, pairs, piece, vertex, p) or tick == 0:
                 muster(pairs, who, whom, first_of, p)
             if task == ADVANCE and faults.shape[0] > 0:
-                cut(bodies, pairs, p)
+                now = (episode.step * p.ticks + tick + 1) * p.tick
+                fail(bodies, flights, pairs, state.mail[b], faults, now, p)
             touch(bodies, piece, vertex, episode, p)
             if tick == ticks - 1:
                 episode.n_edges = weigh(pairs, infos, p)
@@ -163,14 +162,24 @@ def obey(bodies, actions, stick_x, stick_y, stick_z, p):
 
 @kernel
 def move(bodies, flights, episode, p):
-    """Move every robot by one tick along its command; a dead one stays where it is, level."""
+    """Move every robot by one tick along its command; a dead one stays where it is."""
     for i in range(bodies.shape[0]):
         if not bodies[i].alive:
-            rest(bodies[i], flights[i], p)
-        elif p.dynamics == QUADROTOR:
+            continue
+        if p.dynamics == QUADROTOR:
             fly(bodies[i], flights[i], p, episode.key, episode.n_rounds, i)
         else:
             glide(bodies[i], p)
+
+
+@kernel
+def fail(bodies, flights, pairs, mail, faults, now, p):
+    """What works at the time `now`, s on the clock; a dead robot is at rest, level. One call: two cost speed."""
+    wear(bodies, mail, faults, now)
+    cut(bodies, pairs, p)
+    for i in range(bodies.shape[0]):
+        if not bodies[i].alive:
+            rest(bodies[i], flights[i], p)
 
 
 @kernel
