@@ -135,6 +135,17 @@ def test_a_dead_radio_neither_sends_nor_hears(flight):
     assert linked > 0
 
 
+def test_what_is_on_the_air_to_a_dead_radio_is_gone():
+    """A step is a tick, a message travels for five; in the third nothing arrives any more."""
+    simulator = begin(Fault(kind="radio", robot=2, at=0.03), clock=Clock(ticks=1), radio=Radio(delay=10), warmup=0.1)
+    heard = []
+    for _ in range(6):
+        simulator.step(np.zeros((1, 5, 4)))
+        fresh = simulator.state.inbox["fresh"][0]
+        heard.append((bool(fresh[2].any()), bool(fresh[:, 2].any())))
+    assert heard == [(k < 2, k < 2) for k in range(6)]
+
+
 def test_who_sees_a_silent_robot_goes_on_measuring_it():
     """A row without messages: where it is now, with its last words and no agreed weight."""
     mute = begin(Fault(kind="radio", robot=2, at=AT))

@@ -58,13 +58,23 @@ def connectivity(bodies, pairs, v2, laplacian, scratch):
             if j != i:
                 degree += pairs[i, j].weight
                 laplacian[i, j] = -pairs[i, j].weight
-        laplacian[i, i] = degree if bodies[i].alive else -1.0
-    team = count_living(bodies) > 1
-    lambda2 = fiedler(laplacian, v2, scratch) if team else 0.0
-    for i in range(n):
-        if not (team and bodies[i].alive):
-            v2[i] = 0.0
+        laplacian[i, i] = degree
+    living = count_living(bodies)
+    if living < n:
+        bury(bodies, v2, laplacian)
+    lambda2 = fiedler(laplacian, v2, scratch) if living > 1 else 0.0
+    if living < n:
+        bury(bodies, v2, laplacian)  # rounding errors in v2
     return lambda2
+
+
+@kernel
+def bury(bodies, v2, laplacian):
+    """Leave the dead out of a graph, as `fiedler` asks for it; who is left alone has no part in v2."""
+    alone = count_living(bodies) < 2
+    for i in range(v2.shape[0]):
+        if alone or not bodies[i].alive:
+            laplacian[i, i], v2[i] = -1.0, 0.0
 
 
 @kernel
