@@ -165,15 +165,24 @@ class YawEstimator:
 class PowerIteration:
     """lambda2 and v2 estimator: gains of the power iteration and of its PI consensus, all per message round."""
 
-    k1: float = 0.15  # removes the mean
-    k2: float = 0.04  # Laplacian step
-    k3: float = 0.4  # keeps the norm
-    g: float = 0.1  # consensus: pull to the own input
+    k1: float = 0.5  # removes the mean; lambda2 up to k1 / k2 can be found
+    k2: float = 0.08  # Laplacian step
+    k3: float = 0.55  # keeps the norm
+    g: float = 0.09  # consensus: pull to the own input
     kp: float = 1.0  # proportional
     ki: float = 0.8  # integral
+    team: int = 8  # robots; larger teams mix more slowly and use k1, k2, k3 and g times team / N
+    lead: float = 0.5  # share of the consensus's lag, 1 / g rounds, that is taken out of the mean
+    kick: float = 3e-3  # largest random push to x, whose entries are about 1
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="k1 k2 k3 g kp ki")
+        check_numbers(self, above="k1 k2 k3 g kp ki team", at_least="lead kick")
+
+    def scaled(self, n_agents: int) -> PowerIteration:
+        """The gains that a team of `n_agents` uses."""
+        share = min(1.0, self.team / n_agents)
+        scaled = {name: share * getattr(self, name) for name in ("k1", "k2", "k3", "g")}
+        return dataclasses.replace(self, **scaled, team=n_agents)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,7 +1,8 @@
 """lambda2 and v2, estimated on board by power iteration over PI consensus (docs/decisions.md), after [9] of the paper.
 
 Yang et al., Automatica 2010 (power iteration); Freeman, Yang and Lynch, CDC 2006 (PI consensus). Both ends of a link
-use the values both of them sent in the same round, so that what one adds the other takes away.
+use the values both of them sent in the same round, so that what one adds the other takes away. Where a message is lost
+its reader holds the last one: leaving the neighbour out would take its share out of L x, and so out of lambda2.
 """
 
 from __future__ import annotations
@@ -51,22 +52,23 @@ def agree(track, said, heard, p):
 
 
 @kernel
-def power_round(belief, tracks, s, heard, contacts, p):
-    """One message round of robot i; all arguments are its own slices: s is what it said, heard[j] what met it.
+def power_round(belief, tracks, s, heard, contacts, kick, p):
+    """One message round of robot i; all arguments are its own slices: s is what it said, heard[j] what met it last.
 
-    Where messages travel for several rounds it is called once in as many, so that s is what i still holds.
+    Where messages travel for several rounds it is called once in as many, so that s is what i still holds. kick: i's
+    random push to its entry, so that x always has something of v2 to grow from.
     """
     lx = m1 = m2 = m3 = n1 = n2 = n3 = degree = 0.0
     for j in contacts:
-        if not heard[j].fresh:
-            continue
         h = heard[j]
+        if h.age >= p.memory:
+            continue
         w = 1.0 / (1.0 + max(s.degree, h.degree))  # Metropolis weight
         degree += 1.0
         lx += tracks[j].weight * (s.x - h.x)  # (L x)_i
         m1, m2, m3 = m1 + w * (s.y1 - h.y1), m2 + w * (s.y2 - h.y2), m3 + w * (s.y3 - h.y3)  # (M y)_i
         n1, n2, n3 = n1 + w * (s.q1 - h.q1), n2 + w * (s.q2 - h.q2), n3 + w * (s.q3 - h.q3)  # (M q)_i
-    x = belief.x
+    x, y1 = belief.x, belief.y1
     belief.degree = degree
     g, kp, ki = p.power_g, p.power_kp, p.power_ki
     belief.y1 = bounded(belief.y1 + g * (x - belief.y1) - kp * m1 + ki * n1)  # mean of x
@@ -75,9 +77,10 @@ def power_round(belief, tracks, s, heard, contacts, p):
     belief.q1 = bounded(belief.q1 - ki * m1)
     belief.q2 = bounded(belief.q2 - ki * m2)
     belief.q3 = bounded(belief.q3 - ki * m3)
+    mean = belief.y1 + p.power_lead / g * (belief.y1 - y1)  # y1 lags behind the mean by 1 / g rounds
     excess = belief.y2 - 1.0
-    x_next = (x - p.power_k1 * belief.y1 - p.power_k2 * lx) / (1.0 + p.power_k3 * max(excess, 0.0))
-    belief.x = bounded(x_next - p.power_k3 * min(excess, 0.0) * x)
+    x_next = (x - p.power_k1 * mean - p.power_k2 * lx) / (1.0 + p.power_k3 * max(excess, 0.0))
+    belief.x = bounded(x_next - p.power_k3 * min(excess, 0.0) * x + kick)
 
 
 @kernel
