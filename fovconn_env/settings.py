@@ -165,24 +165,23 @@ class YawEstimator:
 class PowerIteration:
     """lambda2 and v2 estimator: gains of the power iteration and of its PI consensus, all per message round."""
 
-    k1: float = 0.5  # removes the mean; lambda2 up to k1 / k2 can be found
+    k1: float = 0.5  # removes the mean; a lambda2 above k1 / k2 is not found
     k2: float = 0.08  # Laplacian step
     k3: float = 0.55  # keeps the norm
     g: float = 0.09  # consensus: pull to the own input
     kp: float = 1.0  # proportional
     ki: float = 0.8  # integral
-    team: int = 8  # robots; larger teams mix more slowly and use k1, k2, k3 and g times team / N
-    lead: float = 0.5  # share of the consensus's lag, 1 / g rounds, that is taken out of the mean
-    kick: float = 3e-3  # largest random push to x, whose entries are about 1
+    lead: float = 9.0  # rounds by which the mean is looked ahead: its consensus lags by 1 / g
+    team: int = 8  # robots; a larger team of N uses k1, k2, k3 and g times team / N, lead times sqrt(N / team)
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="k1 k2 k3 g kp ki team", at_least="lead kick")
+        check_numbers(self, above="k1 k2 k3 g kp ki team", at_least="lead")
 
     def scaled(self, n_agents: int) -> PowerIteration:
         """The gains that a team of `n_agents` uses."""
         share = min(1.0, self.team / n_agents)
-        scaled = {name: share * getattr(self, name) for name in ("k1", "k2", "k3", "g")}
-        return dataclasses.replace(self, **scaled, team=n_agents)
+        rates = {name: share * getattr(self, name) for name in ("k1", "k2", "k3", "g")}
+        return dataclasses.replace(self, **rates, lead=self.lead / math.sqrt(share), team=n_agents)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -94,7 +94,7 @@ class Team:
                 self.last[i, j] = self.post
         self.weight = A
         if not self.flooding:
-            self.power.round(A, links, scenario.power)
+            self.power.round(A, links, self.age < scenario.radio.memory, scenario.power.scaled(self.n))
         elif self.power.air is not None:
             self.power.deliver(links)
 

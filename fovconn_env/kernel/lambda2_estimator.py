@@ -52,19 +52,19 @@ def agree(track, said, heard, p):
 
 
 @kernel
-def power_round(belief, tracks, s, heard, contacts, kick, p):
+def power_round(belief, tracks, s, heard, contacts, p):
     """One message round of robot i; all arguments are its own slices: s is what it said, heard[j] what met it last.
 
-    Where messages travel for several rounds it is called once in as many, so that s is what i still holds. kick: i's
-    random push to its entry, so that x always has something of v2 to grow from.
+    Where messages travel for several rounds it is called once in as many, so that s is what i still holds.
     """
-    lx = m1 = m2 = m3 = n1 = n2 = n3 = degree = 0.0
+    lx = m1 = m2 = m3 = n1 = n2 = n3 = degree = strength = 0.0
     for j in contacts:
         h = heard[j]
         if h.age >= p.memory:
             continue
         w = 1.0 / (1.0 + max(s.degree, h.degree))  # Metropolis weight
         degree += 1.0
+        strength += tracks[j].weight
         lx += tracks[j].weight * (s.x - h.x)  # (L x)_i
         m1, m2, m3 = m1 + w * (s.y1 - h.y1), m2 + w * (s.y2 - h.y2), m3 + w * (s.y3 - h.y3)  # (M y)_i
         n1, n2, n3 = n1 + w * (s.q1 - h.q1), n2 + w * (s.q2 - h.q2), n3 + w * (s.q3 - h.q3)  # (M q)_i
@@ -77,18 +77,26 @@ def power_round(belief, tracks, s, heard, contacts, kick, p):
     belief.q1 = bounded(belief.q1 - ki * m1)
     belief.q2 = bounded(belief.q2 - ki * m2)
     belief.q3 = bounded(belief.q3 - ki * m3)
-    mean = belief.y1 + p.power_lead / g * (belief.y1 - y1)  # y1 lags behind the mean by 1 / g rounds
+    mean = belief.y1 + p.power_lead * (belief.y1 - y1)  # looks ahead: y1 lags by 1 / g rounds
     excess = belief.y2 - 1.0
     x_next = (x - p.power_k1 * mean - p.power_k2 * lx) / (1.0 + p.power_k3 * max(excess, 0.0))
-    belief.x = bounded(x_next - p.power_k3 * min(excess, 0.0) * x + kick)
+    n = tracks.shape[0]
+    bound = strength * n / (n - 1.0)  # lambda2 is not above it (Fiedler 1973); where lambda2_hat is, i is coming loose
+    push = p.power_k2 * max(rayleigh(belief.y2, belief.y3, n) - bound, 0.0)
+    belief.x = bounded(x_next - p.power_k3 * min(excess, 0.0) * x + math.copysign(push, x - mean))
+
+
+@kernel
+def rayleigh(y2, y3, n):
+    """lambda2_hat of n robots from the means of x^2 and x (L x): the Rayleigh quotient."""
+    return min(max(y3 / max(y2, 1e-6), 0.0), float(n))
 
 
 @kernel
 def conclude(belief, n):
     """Robot i's estimates of lambda2 and of its entry of v2, from its state; n robots."""
-    size = max(belief.y2, 1e-6)
-    belief.lambda2_hat = min(max(belief.y3 / size, 0.0), float(n))  # Rayleigh quotient
-    belief.v2_hat = belief.x / math.sqrt(n * size)
+    belief.lambda2_hat = rayleigh(belief.y2, belief.y3, n)
+    belief.v2_hat = belief.x / math.sqrt(n * max(belief.y2, 1e-6))
 
 
 @kernel

@@ -75,7 +75,7 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
                 news = (episode.n_rounds - slots) % p.rounds == 0  # the first messages of a tick arrive
                 exchange(post, mail, inboxes, tracks, who, whom, first_of[n], news, p)
                 if slot == 0 and p.lambda2 == lambda2_estimator.POWER:
-                    estimate_lambda2(beliefs, tracks, post, inboxes, whom, first_of, episode, p)
+                    estimate_lambda2(beliefs, tracks, post, inboxes, whom, first_of, p)
                 n_bytes = layout.BYTES_PER_MESSAGE * (p.rounds if repeats else 1)
                 if p.lambda2 == lambda2_estimator.FLOODING:
                     if news:
@@ -182,12 +182,10 @@ def exchange(post, mail, inboxes, tracks, who, whom, count, news, p):
 
 
 @kernel
-def estimate_lambda2(beliefs, tracks, post, inboxes, whom, first, episode, p):
-    """On board of every robot: one round of the power iteration, with a random push of its own."""
+def estimate_lambda2(beliefs, tracks, post, inboxes, whom, first, p):
+    """On board of every robot: one round of the power iteration."""
     for i in range(beliefs.shape[0]):
-        bits = random.draw(episode.key, episode.n_rounds, i, random.KICK)
-        kick = p.power_kick * (2.0 * random.uniform(bits) - 1.0)
-        power_round(beliefs[i], tracks[i], post[i], inboxes[i], whom[first[i] : first[i + 1]], kick, p)
+        power_round(beliefs[i], tracks[i], post[i], inboxes[i], whom[first[i] : first[i + 1]], p)
 
 
 @kernel
