@@ -8,13 +8,15 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass
-from typing import Self
+from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 import pymunk
 
 from fovconn_env.kernel.types import PIECE
+from fovconn_env.map_files import read_entries, write_entries
 from fovconn_env.outlines import FAR, checked_array, checked_outline, convex_pieces
 
 LOW, HIGH = -100.0, 100.0  # m, height interval of an obstacle that is not told one
@@ -56,6 +58,35 @@ class Map:
                 added.source = source
         return result
 
+    @classmethod
+    def from_file(cls, path: str | Path, *, scale: float = 1.0) -> Self:
+        """Map of a .json file as `to_file` writes it, or of the closed outlines of an .svg drawing (docs/maps.md).
+
+        scale, m: length of a user unit of the drawing. Raises ValueError that names file, element, rule and value for
+        what cannot be read, OSError for a file that is not there.
+        """
+        result = cls()
+        for entry in read_entries(Path(path), scale):
+            known = len(result.space.shapes)
+            try:
+                for shape, words in entry.shapes:
+                    getattr(result, shape)(**words)
+            except ValueError as error:
+                raise ValueError(f"{path}: {entry.name}: {error}") from None
+            added = list(result.space.shapes)[known:]
+            for shape in added:
+                shape.source = added[0].source
+        return result
+
+    def to_file(self, path: str | Path) -> None:
+        """Write the map as .json, from which `from_file` makes an equal one, bit for bit."""
+        obstacles: dict[int, list[tuple[str, dict[str, Any]]]] = {}
+        for shape in self.space.shapes:
+            written = _written(shape)
+            if written is not None:
+                obstacles.setdefault(shape.source, []).append(written)
+        write_entries(Path(path), list(obstacles.values()))
+
     def circle(self, center: npt.ArrayLike, radius: float, *, low: float = LOW, high: float = HIGH) -> Self:
         """Add a pillar: center (2,) and radius, m; low and high, m, its height interval."""
         core = checked_array("Map.circle center", center, (2,)).tolist()
@@ -75,8 +106,13 @@ class Map:
     def polygon(self, outline: npt.ArrayLike, radius: float = 0.0, *, low: float = LOW, high: float = HIGH) -> Self:
         """Add a polygon: outline (n, 2) m, its corners in order, convex or not; radius, m, rounds it outwards."""
         _number("Map.polygon radius", radius, least=0.0)
-        pieces = convex_pieces(checked_outline("Map.polygon outline", outline))
-        return self._add("Map.polygon", [piece.tolist() for piece in pieces], radius, low, high)
+        corners = checked_array("Map.polygon outline", outline, (-1, 2))
+        pieces = convex_pieces(checked_outline("Map.polygon outline", corners))
+        known = len(self.space.shapes)
+        self._add("Map.polygon", [piece.tolist() for piece in pieces], radius, low, high)
+        for k, shape in enumerate(list(self.space.shapes)[known:]):
+            shape.outline = [] if k else corners.tolist()  # the first piece stands for all when written
+        return self
 
     def flatten(self) -> tuple[np.ndarray, np.ndarray]:
         """What the kernels read: pieces (P,) PIECE, those of one obstacle side by side, and vertices (V, 2), m."""
@@ -107,6 +143,9 @@ class Map:
 
     def __hash__(self) -> int:
         return hash(Map)  # a map can be added to: equal maps must stay equal
+
+    def __repr__(self) -> str:
+        return f"<Map of {len({shape.source for shape in self.space.shapes})} obstacles>"
 
     def __copy__(self) -> Self:
         return copy.deepcopy(self)  # a shared space would let the copy add obstacles to the original
@@ -209,6 +248,19 @@ class Forest:
         heading, length = rng.uniform(0.0, math.pi), rng.uniform(*self.wall_length)
         half = np.array([math.cos(heading), math.sin(heading)]) * length / 2
         return [(center - half).tolist(), (center + half).tolist()], self.wall_thickness / 2
+
+
+def _written(shape: pymunk.Shape) -> tuple[str, dict[str, Any]] | None:
+    """The call of a Map's method that added a shape; None for all but the first piece of a polygon."""
+    low, high = shape.height
+    heights = {"low": low, "high": high}
+    if isinstance(shape, pymunk.Circle):
+        return "circle", {"center": list(shape.offset), "radius": shape.radius, **heights}
+    if isinstance(shape, pymunk.Segment):
+        return "wall", {"start": list(shape.a), "end": list(shape.b), "thickness": 2 * shape.radius, **heights}
+    if not shape.outline:
+        return None
+    return "polygon", {"outline": shape.outline, "radius": shape.radius, **heights}
 
 
 def _core(shape: pymunk.Shape) -> list[pymunk.Vec2d]:

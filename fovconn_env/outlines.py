@@ -6,11 +6,23 @@ whole process with a segmentation fault (tests/test_maps.py has one).
 
 from __future__ import annotations
 
+import reprlib
+from typing import Any, NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
 _STRAIGHT = 1e-9  # rad, a corner that turns by less counts as straight
 FAR = 1e6  # m, no coordinate is larger
+
+
+class Short(NamedTuple):
+    """A value of a file, as errors show it: not too long."""
+
+    value: Any
+
+    def __repr__(self) -> str:
+        return reprlib.repr(self.value)
 
 
 def checked_array(field: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> np.ndarray:

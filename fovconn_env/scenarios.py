@@ -7,6 +7,7 @@ import dataclasses
 import difflib
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -146,7 +147,8 @@ class Scenario:
         apart = self.start.spacing > self.collision_robot
         rule(apart, "Start.spacing", f"above collision_robot ({self.collision_robot:g})", self.start.spacing, hint)
         if not isinstance(self.map, (Map, Forest, type(None))):
-            raise TypeError(f"Scenario.map must be a Map, a Forest or None, got {self.map!r}: see fovconn_env.Map")
+            hint = "a file, .json or .svg, goes through Map.from_file"
+            raise TypeError(f"Scenario.map must be a Map, a Forest or None, got {self.map!r}: {hint}")
         if isinstance(self.map, Map):  # a Map can be added to, a scenario is frozen
             object.__setattr__(self, "map", copy.copy(self.map))
 
@@ -229,7 +231,8 @@ PRESETS: dict[str, Scenario] = {
 def scenario(base: str | Scenario = "LeaderFollow-v0", /, **changes: Any) -> Scenario:
     """A preset by id (with or without "fovconn/") or a `Scenario`, with settings changed.
 
-    One setting of a group goes by its dotted name: `scenario("LeaderFollow-v0", **{"camera.a_min": 0.5})`.
+    One setting of a group goes by its dotted name: `scenario("LeaderFollow-v0", **{"camera.a_min": 0.5})`; a map may be
+    the name of a file (`Map.from_file`).
     Raises `ValueError` for an unknown id or setting, naming the nearest ones there are.
     """
     if isinstance(base, str):
@@ -241,6 +244,9 @@ def scenario(base: str | Scenario = "LeaderFollow-v0", /, **changes: Any) -> Sce
         base = PRESETS[name]
     elif not isinstance(base, Scenario):
         raise TypeError(f"scenario must be an id or a Scenario, got {base!r}")
+    file = changes.get("map")
+    if isinstance(file, (str, Path)) and Path(file).suffix:  # another word is Scenario's to refuse
+        changes["map"] = Map.from_file(file)
     inner: dict[str, dict[str, Any]] = {}
     for name in [name for name in changes if "." in name]:
         group, _, field_name = name.partition(".")

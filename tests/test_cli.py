@@ -196,7 +196,7 @@ BAD = {
     "option": (("eval", "--epsiodes", "3"), "--epsiodes"),
     "command": (("evla",), "evla"),
     "demo policy": (("demo", "--policy", "nobody"), "got 'nobody': your own is file.py:Class"),
-    "figures of what": (("figures",), "figures must be told which, got none: add --ablations"),
+    "figures of what": (("figures",), "figures must be told which, got none: add --ablations or --map"),
     "demo setting": (("demo", "--set", "n_agents=0"), "Scenario.n_agents must be at least 2, got 0"),
     "bench peer": (("bench", "--against", "pong"), "--against must name some of vmas, mpe2, "),
     "bench peers": (("bench", "vmas"), "'vmas' is unexpected: peers come after --against"),

@@ -33,6 +33,7 @@ LAYERS = [
     ["fovconn_env.layout"],
     ["fovconn_env.kernel"],
     ["fovconn_env.outlines", "fovconn_env.settings"],
+    ["fovconn_env.map_files", "fovconn_env.svg"],
     ["fovconn_env.maps"],
     ["fovconn_env.scenarios"],
     ["fovconn_env.world"],

@@ -225,15 +225,37 @@ def figures(
     ablations: Annotated[
         bool, typer.Option("--ablations", help="What each part of the controller is worth, and where it breaks.")
     ] = False,
-    seeds: Annotated[str, typer.Option(help="Seeds: 0-127, 7 or 0-31,100-131.")] = "0-127",
+    map_file: Annotated[
+        Path | None, typer.Option("--map", metavar="FILE", help="A map, .json or .svg, from above.")
+    ] = None,
+    scenario_name: Annotated[
+        str | None, typer.Option("--scenario", help="With --map: draw starts of this scenario, too.")
+    ] = None,
+    seeds: Annotated[
+        str | None, typer.Option(help="Seeds: 0-127, 7 or 0-31,100-131.  [default: 0-127; on a map 0-7]")
+    ] = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder for picture, table and episodes.")] = OUT / "figures",
     processes: Processes = None,
     fresh: Fresh = False,
     record_file: RecordFile = None,
 ) -> None:
-    """Draw figures of many flights; those of a single one come from `fovconn demo`."""
-    if not ablations:
-        raise ValueError("figures must be told which, got none: add --ablations")
+    """Draw a map, or figures of many flights; those of a single one come from `fovconn demo`."""
+    if ablations == (map_file is not None):
+        raise ValueError(f"figures must be told which, got {'both' if ablations else 'none'}: add --ablations or --map")
+    if map_file is not None:
+        from training.map_preview import preview
+
+        _check_folder(folder)
+        picture, problem = preview(map_file, folder, scenario_name, parse_seeds(seeds or "0-7"))
+        if problem:
+            out.print(
+                f"not all starts are drawn: {problem}", style="yellow", highlight=False, soft_wrap=True, markup=False
+            )
+        out.print(f"wrote {picture}", highlight=False, soft_wrap=True)
+        return
+    if scenario_name is not None:
+        raise ValueError(f"--scenario must come with --map, got {scenario_name!r}: the ablations have their own")
+    seeds = seeds or "0-127"
     from training.evaluation import ablations as studies
     from training.evaluation.ablation_picture import draw as draw_ablations
 
