@@ -172,7 +172,7 @@ class PowerIteration:
     kp: float = 1.0  # proportional
     ki: float = 0.8  # integral
     lead: float = 9.0  # rounds by which the mean is looked ahead: its consensus lags by 1 / g
-    team: int = 8  # robots; a larger team of N uses k1, k2, k3 and g times team / N, lead times sqrt(N / team)
+    team: int = 8  # robots; a larger team of N uses k1, k2, k3 and g times team / N, lead times N / team
 
     def __post_init__(self) -> None:
         check_numbers(self, above="k1 k2 k3 g kp ki team", at_least="lead")
@@ -181,7 +181,7 @@ class PowerIteration:
         """The gains that a team of `n_agents` uses."""
         share = min(1.0, self.team / n_agents)
         rates = {name: share * getattr(self, name) for name in ("k1", "k2", "k3", "g")}
-        return dataclasses.replace(self, **rates, lead=self.lead / math.sqrt(share), team=n_agents)
+        return dataclasses.replace(self, **rates, lead=self.lead / share, team=n_agents)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -327,7 +327,8 @@ class PowerIteration:
         apart = said[:, :, None] - self.heard
         W = np.where(held, 1.0 / (1.0 + np.maximum(self.degree[:, None], self.heard[7])), 0.0)
         A = np.where(held, A, 0.0)
-        Lx, My, Mq = (A * apart[0]).sum(-1), (W * apart[1:4]).sum(-1), (W * apart[4:7]).sum(-1)
+        Lx, Mq = (A * apart[0]).sum(-1), (W * apart[4:7]).sum(-1)
+        My = (np.where(arrived, W, 0.0) * apart[1:4]).sum(-1)
         self.degree = held.sum(axis=1).astype(float)
         alpha = np.array([x, x * x, x * Lx])
         self.y = y + power.g * (alpha - y) - power.kp * My + power.ki * Mq

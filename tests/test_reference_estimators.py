@@ -328,13 +328,13 @@ def test_lost_messages_do_not_bias_lambda2(loss):
 
 @pytest.mark.skipif(not JIT, reason="thousands of rounds")
 def test_a_crowd_has_a_lambda2():
-    """All six linked, lambda2 = 4.5 and 5.7: the mean must not grow faster than it is removed."""
-    for weight in (0.75, 0.95):
-        talk = Talk(small(n_agents=6), np.random.default_rng(5).uniform(-1, 1, 6))
-        talk.weigh(weight * (1 - np.eye(6)))
+    """All linked with all: the mean must not grow faster than it is removed."""
+    for n, lambda2 in ((3, 3.0), (6, 4.5), (6, 6.0), (12, 5.0), (24, 4.0), (48, 3.0)):
+        talk = Talk(small(n_agents=n), np.random.default_rng(5).uniform(-1, 1, n))
+        talk.weigh(lambda2 / n * (1 - np.eye(n)))
         for _ in range(3000):
             talk.round(talk.links)
-        np.testing.assert_allclose(talk.lambda2_hat, 6 * weight, rtol=0.01)
+        np.testing.assert_allclose(talk.lambda2_hat, lambda2, rtol=0.01)
 
 
 @pytest.mark.skipif(not JIT, reason="thousands of rounds")

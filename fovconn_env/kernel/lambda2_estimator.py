@@ -2,7 +2,8 @@
 
 Yang et al., Automatica 2010 (power iteration); Freeman, Yang and Lynch, CDC 2006 (PI consensus). Both ends of a link
 use the values both of them sent in the same round, so that what one adds the other takes away. Where a message is lost
-its reader holds the last one: leaving the neighbour out would take its share out of L x, and so out of lambda2.
+its reader holds the last one: leaving the neighbour out would take its share out of L x, and so out of lambda2. Only
+the differences of y, which vanish, are left out then: they alone enter the integral states, whose sum must stay 0.
 """
 
 from __future__ import annotations
@@ -66,8 +67,9 @@ def power_round(belief, tracks, s, heard, contacts, p):
         degree += 1.0
         strength += tracks[j].weight
         lx += tracks[j].weight * (s.x - h.x)  # (L x)_i
-        m1, m2, m3 = m1 + w * (s.y1 - h.y1), m2 + w * (s.y2 - h.y2), m3 + w * (s.y3 - h.y3)  # (M y)_i
         n1, n2, n3 = n1 + w * (s.q1 - h.q1), n2 + w * (s.q2 - h.q2), n3 + w * (s.q3 - h.q3)  # (M q)_i
+        if h.fresh:
+            m1, m2, m3 = m1 + w * (s.y1 - h.y1), m2 + w * (s.y2 - h.y2), m3 + w * (s.y3 - h.y3)  # (M y)_i
     x, y1 = belief.x, belief.y1
     belief.degree = degree
     g, kp, ki = p.power_g, p.power_kp, p.power_ki
