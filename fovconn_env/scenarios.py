@@ -207,7 +207,7 @@ class Scenario:
         values["rest_ticks"] = math.ceil(quiet / clock.tick) + 2
         values |= dict(zip(("axis_x", "axis_y", "axis_z"), axis, strict=True))
         for item in dataclasses.fields(self):
-            value = getattr(self, item.name)
+            value = self.power.scaled(self.n_agents) if item.name == "power" else getattr(self, item.name)
             if item.name in _GROUPS:
                 prefix = item.name + "_" if item.name in _PREFIXED else ""
                 values |= {prefix + inner.name: getattr(value, inner.name) for inner in dataclasses.fields(value)}

@@ -166,15 +166,23 @@ class YawEstimator:
 class PowerIteration:
     """lambda2 and v2 estimator: gains of the power iteration and of its PI consensus, all per message round."""
 
-    k1: float = 0.15  # removes the mean
-    k2: float = 0.04  # Laplacian step
-    k3: float = 0.4  # keeps the norm
-    g: float = 0.1  # consensus: pull to the own input
+    k1: float = 0.5  # removes the mean; a lambda2 above k1 / k2 is not found
+    k2: float = 0.08  # Laplacian step
+    k3: float = 0.55  # keeps the norm
+    g: float = 0.09  # consensus: pull to the own input
     kp: float = 1.0  # proportional
     ki: float = 0.8  # integral
+    lead: float = 9.0  # rounds by which the mean is looked ahead: its consensus lags by 1 / g
+    team: int = 8  # robots; a larger team of N uses k1, k2, k3 and g times team / N, lead times N / team
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="k1 k2 k3 g kp ki")
+        check_numbers(self, above="k1 k2 k3 g kp ki team", at_least="lead")
+
+    def scaled(self, n_agents: int) -> PowerIteration:
+        """The gains that a team of `n_agents` uses."""
+        share = min(1.0, self.team / n_agents)
+        rates = {name: share * getattr(self, name) for name in ("k1", "k2", "k3", "g")}
+        return dataclasses.replace(self, **rates, lead=self.lead / share, team=n_agents)
 
 
 @dataclass(frozen=True, kw_only=True)

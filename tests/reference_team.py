@@ -103,7 +103,7 @@ class Team:
                 self.beats[i] = np.maximum(self.beats[i], self.beat_air[j])
             self.beat_air = None
         if not self.flooding:
-            self.power.round(A, links, scenario.power)
+            self.power.round(A, links, self.age < scenario.radio.memory, scenario.power.scaled(self.n))
         elif self.power.air is not None:
             self.power.deliver(links)
 

@@ -53,7 +53,7 @@ PARAMS = _record(
         *_numbers("yaw_k1 yaw_k2 yaw_k3 yaw_v_min yaw_v_max yaw_hold"),
         ("yaw_product", "b1"),
         ("yaw_lag_free", "b1"),
-        *_numbers("power_k1 power_k2 power_k3 power_g power_kp power_ki"),
+        *_numbers("power_k1 power_k2 power_k3 power_g power_kp power_ki power_lead"),
         *_numbers("flooding_memory"),
         *_numbers("position_noise position_bias velocity_noise velocity_bias gyro_noise gyro_bias"),
         *_numbers("attitude_noise attitude_bias range_noise range_bias"),
