@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from fovconn_env import layout
 from fovconn_env.kernel import lambda2_estimator, random, yaw_estimator
-from fovconn_env.kernel.camera import feel, look, muster, see
+from fovconn_env.kernel.camera import feel, list_near, look, muster, see
 from fovconn_env.kernel.faults import cut, repair, wear
 from fovconn_env.kernel.flooding import assemble, enter, merge, put, solve
 from fovconn_env.kernel.geometry import clearance
@@ -38,12 +38,13 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
     for both, because each entry compiles everything below it.
     """
     p = params[0]
-    n, who, whom, first_of = state.body.shape[1], scratch.who, scratch.whom, scratch.first
+    n = state.body.shape[1]
     for b in range(first, last):
         episode = state.episode[b]
         if (task == BEGIN and not mask[b]) or (task == ADVANCE and episode.over):
             continue
         bodies, flights, pairs, infos = state.body[b], state.flight[b], state.pair[b], state.info[b]
+        order, who, whom, first_of = state.order[b], state.who[b], state.whom[b], state.first[b]
         own, sights, inboxes = state.own[b], state.sight[b], state.inbox[b]
         tracks, beliefs, v2 = state.track[b], state.belief[b], state.fiedler[b]
         tables, modes, beats = state.table[b], state.mode[b], state.beat[b]
@@ -56,13 +57,17 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
             obey(bodies, actions[b], stick_x, stick_y, stick_z, p)
         else:
             start(bodies, flights, inboxes, tracks, beliefs, episode.key, p)
+            for i in range(n):
+                order[i] = i
+            muster(pairs, who, whom, first_of, p)
         for i in range(infos.shape[0]):
             infos[i].bytes_sent = 0.0
 
         for tick in range(ticks):
             if task == ADVANCE:
                 move(bodies, flights, episode, p)
-            if look(bodies, pairs, piece, vertex, p) or tick == 0:
+            n_near = list_near(bodies, order, who, whom, first_of[n], scratch.near, p)
+            if look(bodies, pairs, scratch.near, n_near, piece, vertex, p):
                 muster(pairs, who, whom, first_of, p)
             if task == ADVANCE and faults.shape[0] > 0:
                 now = (episode.step * p.ticks + tick + 1) * p.tick
