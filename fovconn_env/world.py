@@ -54,10 +54,6 @@ def allocate(scenario: Scenario, n_worlds: int, n_pieces: int, n_vertices: int) 
         body=np.zeros((b, n), types.BODY),
         flight=np.zeros((b, n), types.FLIGHT),
         pair=np.zeros((b, n, n), types.PAIR),
-        order=np.zeros((b, n), np.uint32),
-        who=np.zeros((b, n * n), np.uint32),
-        whom=np.zeros((b, n * n), np.uint32),
-        first=np.zeros((b, n + 1), np.int64),
         own=np.zeros((b, n), types.OWN),
         sight=np.zeros((b, n, n), types.SIGHT),
         post=np.zeros((b, scenario.radio.delay, n), types.POST),
@@ -88,7 +84,11 @@ def scratch(n_agents: int) -> types.Scratch:
     return types.Scratch(
         laplacian=np.empty((n, n)),
         spectrum=np.empty((n + N_VECTORS, n)),
+        order=np.arange(n, dtype=np.uint32),
         near=np.empty((n * n, 2), np.uint32),
+        who=np.empty(n * n, np.uint32),
+        whom=np.empty(n * n, np.uint32),
+        first=np.empty(n + 1, np.int64),
     )
 
 

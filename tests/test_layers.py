@@ -192,6 +192,7 @@ AT_RESET = {
     "": {"name", "n_agents", "max_neighbors", "max_ranges", "max_cycles", "warmup", "map", "faults"},
     "camera": {"optical_axis"},  # as axis_x, axis_y, axis_z
     "radio": {"delay"},  # slots of the mail, and travel_time
+    "power": {"team"},  # in the gains, where N is larger
     "start": {"box", "spacing", "clearance", "lambda2_low", "lambda2_high"},
     "course": {"legs", "leg", "turn_low", "turn_high", "climb"},
 }

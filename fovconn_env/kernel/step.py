@@ -38,13 +38,12 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
     for both, because each entry compiles everything below it.
     """
     p = params[0]
-    n = state.body.shape[1]
+    n, order, who, whom, first_of = state.body.shape[1], scratch.order, scratch.who, scratch.whom, scratch.first
     for b in range(first, last):
         episode = state.episode[b]
         if (task == BEGIN and not mask[b]) or (task == ADVANCE and episode.over):
             continue
         bodies, flights, pairs, infos = state.body[b], state.flight[b], state.pair[b], state.info[b]
-        order, who, whom, first_of = state.order[b], state.who[b], state.whom[b], state.first[b]
         own, sights, inboxes = state.own[b], state.sight[b], state.inbox[b]
         tracks, beliefs, v2 = state.track[b], state.belief[b], state.fiedler[b]
         tables, modes, beats = state.table[b], state.mode[b], state.beat[b]
@@ -57,12 +56,10 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
             obey(bodies, actions[b], stick_x, stick_y, stick_z, p)
         else:
             start(bodies, flights, inboxes, tracks, beliefs, episode.key, p)
-            for i in range(n):
-                order[i] = i
-            muster(pairs, who, whom, first_of, p)
         for i in range(infos.shape[0]):
             infos[i].bytes_sent = 0.0
 
+        muster(pairs, who, whom, first_of, p)
         for tick in range(ticks):
             if task == ADVANCE:
                 move(bodies, flights, episode, p)

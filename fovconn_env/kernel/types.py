@@ -219,7 +219,12 @@ class Scratch(NamedTuple):
 
     laplacian: np.ndarray  # (N, N)
     spectrum: np.ndarray  # (N + spectrum.N_VECTORS, N)
-    near: np.ndarray  # (N N, 2) uint32, pairs, see camera.list_near
+    # unsigned, as numba checks each use of a signed index for counting from the end
+    order: np.ndarray  # (N,) uint32, all robots, see camera.list_near
+    near: np.ndarray  # (N N, 2) uint32, the pairs to look at
+    who: np.ndarray  # (N N,) uint32, the pairs that have to do with each other, see camera.muster
+    whom: np.ndarray  # (N N,) uint32
+    first: np.ndarray  # (N + 1,) int64
 
 
 class State(NamedTuple):
@@ -228,11 +233,6 @@ class State(NamedTuple):
     body: np.ndarray  # (B, N) BODY
     flight: np.ndarray  # (B, N) FLIGHT
     pair: np.ndarray  # (B, N, N) PAIR
-    # unsigned, as numba checks each use of a signed index for counting from the end
-    order: np.ndarray  # (B, N) uint32, the robots along x, see camera.look
-    who: np.ndarray  # (B, N N) uint32, the pairs that have to do with each other, see camera.muster
-    whom: np.ndarray  # (B, N N) uint32
-    first: np.ndarray  # (B, N + 1) int64
     own: np.ndarray  # (B, N) OWN
     sight: np.ndarray  # (B, N, N) SIGHT
     post: np.ndarray  # (B, L, N) POST, on the air: [slot, sender]
