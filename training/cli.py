@@ -26,8 +26,8 @@ from training.bench.cases import FULL, PEERS, QUICK
 from training.bench.timing import GROUPS, INSTALLED, agenda, run
 from training.evaluation import Evaluation, summary
 from training.evaluation.campaign import DEV_SEEDS, SUITES, Cell, Interrupted, fly_cells, parse_seeds, suite
-from training.evaluation.card import card
 from training.evaluation.comparison import Comparison, overall_table, scenario_table
+from training.evaluation.measures import card
 from training.evaluation.results import publish, short, write_json
 
 app = typer.Typer(

@@ -59,8 +59,8 @@ def list_near(bodies, order, who, whom, contacts, near, p):
     """List in `near` each pair that `look` has to visit once, i < j; returns how many.
 
     These are the pairs in reach of each other and the `contacts` that `muster` found. Nothing changes between the
-    others. In a large team they are found by a sweep along x; `order` is that of the robots there, nearly right from the
-    last tick. In a small team all are listed, which is faster.
+    others. In a large team they are found by a sweep along x over `order`, the robots nearly as they lie there. In a
+    small team all are listed, which is faster.
     """
     n, count = bodies.shape[0], 0
     if n <= SMALL:

@@ -20,7 +20,6 @@ import fovconn_env
 from baselines import find_policy
 from fovconn_env import PRESETS, Map, Scenario
 from fovconn_env.metrics import ERRORS, bin_edges
-from training.evaluation.card import card
 from training.evaluation.comparison import (
     Comparison,
     Table,
@@ -33,6 +32,7 @@ from training.evaluation.comparison import (
 )
 from training.evaluation.flights import SHARES, Evaluation, label, summary
 from training.evaluation.marl_eval import to_marl_eval
+from training.evaluation.measures import card
 
 ON_CARD = ("expert", "augmented", "recovery", "oracle")  # policies on the card of a scenario
 SAMPLE = 4  # episodes of each evaluation in a short record
