@@ -83,8 +83,16 @@ def potential_slope(lambda2, p, g):
 @kernel
 def maintain(own, neighbors, p, g):
     """Velocity and yaw rate that raise lambda2 (5), before saturation: m/s and rad/s, yaw frame."""
+    return descend(own, neighbors, potential_slope(np.float64(own.lambda2_hat), p, g), p)
+
+
+@kernel
+def descend(own, neighbors, slope, p):
+    """-slope dlambda2/d(p_i, yaw_i), in the yaw frame of the robot: what moves it down a V(lambda2) of that slope.
+
+    dlambda2/dp_i = sum_j (v2_i - v2_j)^2 R_i^T dA_ij/dp_i, and alike for the yaw: (5) with (12), (13).
+    """
     vx = vy = vz = yaw_rate = 0.0
-    slope = potential_slope(np.float64(own.lambda2_hat), p, g)
     oix, oiy, oiz = tilt(p.axis_x, p.axis_y, p.axis_z, np.float64(own.roll), np.float64(own.pitch))
     for j in range(neighbors.shape[0]):
         row = neighbors[j]

@@ -1,35 +1,17 @@
 """Networks that treat neighbours and range points as sets, so that one policy fits any N and any order of rows.
 
-Needs torch. `SetEncoder` and `FlatEncoder` are features extractors for Stable-Baselines3 (`features_extractor_class`);
-what comes out of the training is flown by `learned`, without torch.
+Needs torch. The encoders are features extractors for Stable-Baselines3 (`features_extractor_class`); what comes out of
+a training is flown by `learned`, without torch. Scales and units: `inputs`.
 """
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from gymnasium import spaces
 from torch import nn
 
+from baselines.inputs import EMPHASIS, LAMBDA2, OWN, POINT, ROW, SHARE, scales
 from fovconn_env import layout
-from fovconn_env.scenarios import Scenario
-
-OWN, ROW, POINT = len(layout.SELF), len(layout.NEIGHBOR), len(layout.RANGE)
-SHARE = 0.3  # of a sum over rows, so that three rows make about one
-_LAMBDA2 = [column.name for column in layout.SELF].index("lambda2_hat")
-# Scales that do not depend on N; columns that stay far within their bounds get narrower ones.
-_SCALES = {**Scenario().scales(), "lambda2": 3.0, "speed": 1.5, "turn": 1.0}
-_NARROW = {"v2_hat": 0.5, "roll": 0.3, "pitch": 0.3}
-
-
-def scales(max_neighbors: int, max_ranges: int) -> np.ndarray:
-    """What the columns of a flat observation are divided by, (D,) float32: their bounds in `layout`, or less."""
-
-    def of(table: tuple[layout.Column, ...]) -> list[float]:
-        return [_NARROW.get(column.name, high) for column, high in zip(table, layout.bounds(table, _SCALES)[1], strict=True)]
-
-    rows = of(layout.SELF) + max_neighbors * of(layout.NEIGHBOR) + max_ranges * of(layout.RANGE)
-    return np.array(rows, np.float32)
 
 
 def emphasis(lambda2: torch.Tensor) -> torch.Tensor:
@@ -38,51 +20,72 @@ def emphasis(lambda2: torch.Tensor) -> torch.Tensor:
     return torch.cat([0.5 * torch.log(low + 0.05), 0.2 / (low + 0.1)], dim=1)
 
 
-class SetEncoder(nn.Module):
+class Encoder(nn.Module):
+    """What the encoders share: flat observations (R, D + extra), scaled. The extra columns are more of the own row."""
+
+    def __init__(self, observation_space: spaces.Box, max_neighbors: int, extra: int) -> None:
+        super().__init__()
+        size = observation_space.shape[0] - extra
+        self.max_neighbors, self.extra = max_neighbors, extra
+        self.max_ranges = (size - OWN - max_neighbors * ROW) // POINT
+        if self.max_ranges < 0 or layout.observation_size(max_neighbors, self.max_ranges) != size:
+            raise ValueError(
+                f"max_neighbors must fit an observation of {size} columns, got {max_neighbors}: "
+                "take the scenario's max_neighbors"
+            )
+        self.own_size = OWN + EMPHASIS + extra
+        self.scales: torch.Tensor
+        found = torch.from_numpy(scales(max_neighbors, self.max_ranges, extra))
+        self.register_buffer("scales", found, persistent=False)
+
+
+class SetEncoder(Encoder):
     """Deep sets (Zaheer et al., NeurIPS 2017): a robot's own row, and sums over its neighbours and range points.
 
-    Features [own, sum_j phi(row_j, own), sum_k rho(point_k)], over the rows in use. The paper's law is itself a sum over
-    neighbours of such terms (5).
+    Features [own, sum_j phi(row_j, own), sum_k rho(point_k)], over the rows in use. The paper's law is itself a sum
+    over neighbours of such terms (5).
     """
 
-    def __init__(self, observation_space: spaces.Box, max_neighbors: int = 8, width: int = 64, spots: int = 32) -> None:
-        super().__init__()
-        size = observation_space.shape[0]
-        self.max_neighbors, self.max_ranges = max_neighbors, (size - OWN - max_neighbors * ROW) // POINT
-        if layout.observation_size(self.max_neighbors, self.max_ranges) != size:
-            raise ValueError(f"max_neighbors must fit an observation of {size} columns, got {max_neighbors}")
-        self.scales: torch.Tensor
-        self.register_buffer("scales", torch.from_numpy(scales(max_neighbors, self.max_ranges)), persistent=False)
+    def __init__(
+        self, observation_space: spaces.Box, max_neighbors: int = 8, extra: int = 0, width: int = 64, spots: int = 32
+    ) -> None:
+        super().__init__(observation_space, max_neighbors, extra)
         self.row = nn.Linear(ROW, width)
-        self.own = nn.Linear(OWN + 2, width, bias=False)
+        self.own = nn.Linear(self.own_size, width, bias=False)
         self.term = nn.Linear(width, width)
         self.point = nn.Linear(POINT, spots)
         self.spot = nn.Linear(spots, spots)
-        self.features_dim = OWN + 2 + width + spots
+        self.features_dim = self.own_size + width + spots
 
     def forward(self, flat: torch.Tensor) -> torch.Tensor:
-        """Features (R, features_dim) of flat observations (R, D)."""
-        silu, scaled, end = nn.functional.silu, flat / self.scales, OWN + self.max_neighbors * ROW
-        own = torch.cat([scaled[:, :OWN], emphasis(flat[:, _LAMBDA2 : _LAMBDA2 + 1])], dim=1)
-        rows = scaled[:, OWN:end].unflatten(1, (self.max_neighbors, ROW))
-        points = scaled[:, end:].unflatten(1, (self.max_ranges, POINT))
+        """Features (R, features_dim) of flat observations (R, D + extra)."""
+        silu, scaled = nn.functional.silu, flat / self.scales
+        first, last = OWN + self.max_neighbors * ROW, scaled.shape[1] - self.extra
+        own = torch.cat([scaled[:, :OWN], emphasis(flat[:, LAMBDA2 : LAMBDA2 + 1]), scaled[:, last:]], dim=1)
+        rows = _used(scaled[:, OWN:first].unflatten(1, (self.max_neighbors, ROW)))
+        points = _used(scaled[:, first:last].unflatten(1, (self.max_ranges, POINT)))
         terms = silu(self.term(silu(self.row(rows) + self.own(own)[:, None])))
         spots = silu(self.spot(silu(self.point(points))))
         sums = [SHARE * (part * used[..., :1]).sum(1) for part, used in ((terms, rows), (spots, points))]
         return torch.cat([own, *sums], dim=1)
 
 
-class FlatEncoder(nn.Module):
+class FlatEncoder(Encoder):
     """The scaled observation as it is, for a plain multi-layer perceptron: to compare with."""
 
-    def __init__(self, observation_space: spaces.Box, max_neighbors: int = 8) -> None:
-        super().__init__()
-        size = observation_space.shape[0]
-        self.scales: torch.Tensor
-        max_ranges = (size - OWN - max_neighbors * ROW) // POINT
-        self.register_buffer("scales", torch.from_numpy(scales(max_neighbors, max_ranges)), persistent=False)
-        self.features_dim = size
+    def __init__(self, observation_space: spaces.Box, max_neighbors: int = 8, extra: int = 0) -> None:
+        super().__init__(observation_space, max_neighbors, extra)
+        self.features_dim = observation_space.shape[0] + EMPHASIS
 
     def forward(self, flat: torch.Tensor) -> torch.Tensor:
-        """Features (R, D) of flat observations (R, D)."""
-        return flat / self.scales
+        """Features (R, features_dim) of flat observations (R, D + extra): all columns, then the emphasis."""
+        return torch.cat([flat / self.scales, emphasis(flat[:, LAMBDA2 : LAMBDA2 + 1])], dim=1)
+
+
+ENCODERS: dict[str, type[Encoder]] = {"set": SetEncoder, "mlp": FlatEncoder}
+
+
+def _used(rows: torch.Tensor) -> torch.Tensor:
+    """Rows (R, m, n) of (R, M, n) up to the last one that any robot uses: a small team does not fill them."""
+    used = torch.nonzero(rows[..., 0].amax(0))
+    return rows[:, : int(used[-1]) + 1 if len(used) else 1]

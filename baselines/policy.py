@@ -43,6 +43,11 @@ class Policy(ABC):
         """A scenario, or that of an id, with this policy's `overrides`: what its team flies with."""
         return scenarios.scenario(base, **cls.overrides)
 
+    @classmethod
+    def tag(cls) -> str:
+        """What changes with all that the policy is made of beside settings and source code, such as weights."""
+        return ""
+
     @abstractmethod
     def decide(self, flat: np.ndarray) -> np.ndarray:
         """Actions (R, 4) for flat observations (R, D) float32, one row a robot; rows do not know of each other."""

@@ -13,9 +13,12 @@ from typing import Any
 
 from baselines.ablations import AllSeeing, BothLook, Flooding, NoYaw, Omni, Oracle
 from baselines.augmented import Augmented
+from baselines.cards import FOLDER, SUFFIX
 from baselines.expert import Expert
+from baselines.learned import from_file
 from baselines.policy import Policy, scenario_of
 from baselines.recovery import Recovery
+from baselines.safety import PREFIX, safe
 from baselines.simple import Follow, Random, Springs, Zero
 
 POLICIES: dict[str, type[Policy]] = {
@@ -32,6 +35,7 @@ POLICIES: dict[str, type[Policy]] = {
     "recovery": Recovery,
     "oracle": Oracle,
     "oracle-all-seeing": AllSeeing,
+    **{file.stem: from_file(file) for file in sorted(FOLDER.glob(f"*{SUFFIX}"))},  # read when first made
 }
 
 
@@ -41,17 +45,26 @@ def load_policy(name: str, env: Any) -> Policy:
 
 
 def find_policy(name: str) -> type[Policy]:
-    """The class of a policy in `POLICIES`, or of your own: "file.py:Class" or "package.module:Class".
+    """The class of a policy in `POLICIES`, or of your own: "file.py:Class", "package.module:Class", "file.safetensors".
 
-    The class may be left out where a file defines one policy alone. Raises `ValueError` for an unknown name, a missing
-    file or class, and for code that does not load.
+    The class may be left out where a file defines one policy alone. "safe:" before any of these puts the safety filter
+    (`safety`) on it. Raises `ValueError` for an unknown name, a missing file or class, and for code that does not load.
     """
     if name in POLICIES:
         return POLICIES[name]
+    if name.startswith(PREFIX):
+        inner = name.removeprefix(PREFIX)
+        return safe(find_policy(inner), inner if inner in POLICIES else None)
+    if name.endswith(SUFFIX):
+        file = Path(name)
+        if not file.is_file():
+            hint = f"paths start at {Path.cwd()}"
+            raise ValueError(f"policy {name!r} must name a file that exists, got {name!r}: {hint}")
+        return from_file(file)
     place, _, wanted = name.rpartition(":") if ":" in name else (name, "", "")
     if not place.endswith(".py") and not wanted:
         near = difflib.get_close_matches(name, POLICIES, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]!r}?" if near else "your own is file.py:Class"
+        hint = f"did you mean {near[0]!r}?" if near else "your own is file.py:Class or file.safetensors"
         raise ValueError(f"policy must be one of {', '.join(POLICIES)}, or file.py:Class, got {name!r}: {hint}")
     module = _module(place, name)
     found = {

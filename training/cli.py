@@ -29,6 +29,7 @@ from training.evaluation.campaign import DEV_SEEDS, SUITES, Cell, Interrupted, f
 from training.evaluation.comparison import Comparison, overall_table, scenario_table
 from training.evaluation.measures import card
 from training.evaluation.results import publish, short, write_json
+from training.train_cli import train_app
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -36,6 +37,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Robots that see only what is in front of them, kept together: fly them, measure them.",
 )
+app.add_typer(train_app, name="train")
 OUT = Path("out")
 # a pipe has no width; rich would take 80 letters, too few for the tables
 out = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else 132)

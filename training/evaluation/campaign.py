@@ -130,7 +130,7 @@ def _fly_orders(
     pool = ProcessPoolExecutor(min(processes, len(orders)), context, _enlist, (stop, counts))
     waiting: dict[Future[Evaluation], int] = {}
     problem: BaseException | None = None
-    with pool, _noted_interruption() as interrupted:
+    with pool, noted_interruption() as interrupted:
         for slot, (k, block) in enumerate(orders):
             waiting[pool.submit(_fly_block, slot, cells[k], block)] = k
         while waiting:
@@ -154,7 +154,7 @@ def _fly_orders(
 
 
 @contextlib.contextmanager
-def _noted_interruption() -> Iterator[threading.Event]:
+def noted_interruption() -> Iterator[threading.Event]:
     """Ctrl-C sets the event instead of striking anywhere, so that what is finished can be kept."""
     noted = threading.Event()
     if threading.current_thread() is not threading.main_thread():
@@ -247,7 +247,7 @@ def fingerprint(cell: Cell) -> str:
     """Twelve letters that change with any setting of a cell and with the source code that flies it."""
     kind = find_policy(cell.policy)
     digest = hashlib.sha256(json.dumps([plain(cell.scenario), plain(kind.equip(cell.scenario))]).encode())
-    digest.update(_code().encode())
+    digest.update((_code() + kind.tag()).encode())
     with contextlib.suppress(OSError, TypeError):  # a class typed at a prompt has no file
         digest.update(Path(inspect.getfile(kind)).read_bytes())
     return digest.hexdigest()[:12]

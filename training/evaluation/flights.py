@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from baselines import Policy, find_policy
+from baselines import POLICIES, Policy, find_policy
 from fovconn_env import Scenario, Simulator
 from fovconn_env.metrics import ERRORS, Meter, quantile
 from training.evaluation.statistics import share_interval
@@ -87,7 +87,7 @@ def join(parts: Sequence[Evaluation]) -> Evaluation:
 def label(policy: str | type[Policy]) -> str:
     """What a policy is called in tables: its name in POLICIES, or its class's."""
     kind = find_policy(policy) if isinstance(policy, str) else policy
-    return policy if isinstance(policy, str) and ":" not in policy and not policy.endswith(".py") else kind.__name__
+    return policy if isinstance(policy, str) and policy in POLICIES else kind.__name__
 
 
 def summary(evaluation: Evaluation) -> dict[str, Any]:

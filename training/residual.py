@@ -1,0 +1,56 @@
+"""Residual PPO (Johannink et al., ICRA 2019): a law flies, and PPO learns a bounded correction of its action.
+
+action = law + bound clip(network, -1, 1). The network sees the law's action as part of its own row, and starts at a
+correction of zero: the first policy is the law, and no later one is farther from it than the bound.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from baselines.learned import BASES
+from fovconn_env import Scenario
+from fovconn_env.settings import check_numbers, rule
+from training.learning import Network
+from training.ppo import PPOSettings, Team
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualSettings(PPOSettings):
+    """PPO's, law and bound."""
+
+    base: str = "augmented"
+    bound: float = 0.3  # of 2.5 m/s and 1 rad/s
+    anchor: float = 0.1  # weight of the divergence from the law
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_numbers(self, share="bound")
+        rule(self.base in BASES, "ResidualSettings.base", f"one of {', '.join(BASES)}", self.base, "without memory")
+
+
+class Residual(Team):
+    """See the module."""
+
+    name = "residual"
+
+    def __init__(
+        self,
+        scenarios: Sequence[Scenario],
+        seed: int = 0,
+        settings: ResidualSettings | None = None,
+        network: Network | None = None,
+        **told: Any,
+    ) -> None:
+        s = settings or ResidualSettings()
+        self.base, self.bound = s.base, s.bound
+        super().__init__(scenarios, seed, s, (network or Network()).deviating(-1.0), **told)
+        if self.start is None:
+            for parameter in self.policy.action_net.parameters():
+                torch.nn.init.zeros_(parameter)
+            self.anchor = copy.deepcopy(self.policy)

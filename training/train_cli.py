@@ -1,0 +1,283 @@
+"""`fovconn train`: the trainers on the command line. torch is imported when one of them runs."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from baselines import POLICIES, find_policy
+from baselines.learned import BASES, Learned
+from fovconn_env import PRESETS, Scenario, scenario
+from fovconn_env.settings import rule
+
+train_app = typer.Typer(no_args_is_help=True, help="Train policies, and record flights to train from.")
+SHIPPED = ", ".join(name for name, kind in POLICIES.items() if issubclass(kind, Learned)) or "none yet"
+
+Scenarios = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--scenario",
+        help=f"Scenario id: {', '.join(PRESETS)}; settings may follow in the same word: 'ScaleUp-v0 level=3'. "
+        "Repeatable: the worlds are shared out, one policy learns all.  [default: LeaderFollow-v0]",
+    ),
+]
+Changes = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=VALUE", help="Change a setting of all scenarios, e.g. --set n_agents=4."),
+]
+Steps = Annotated[
+    int | None, typer.Option(help="Length in agent steps (for bc: samples learned from). Repeats bit for bit.")
+]
+Minutes = Annotated[float | None, typer.Option(help="Length in minutes instead; the schedules follow the clock.")]
+Seed = Annotated[int, typer.Option(help="Training seed: network, worlds (50000 and up) and order of learning.", min=0)]
+Out = Annotated[Path | None, typer.Option("--out", help="Folder for policy, card, model.zip, curves, checkpoint.")]
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Go on from the folder's checkpoint, exactly as without a break.")
+]
+Kind = Annotated[str, typer.Option("--network", help="set (any team size and order of rows) or mlp (to compare).")]
+Tune = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--tune", metavar="NAME=VALUE", help="Change a hyper-parameter; `--tune help` lists them. Repeatable."
+    ),
+]
+Threads = Annotated[int | None, typer.Option(help="Threads of simulator and torch; one a core by default.", min=1)]
+Start = Annotated[
+    str | None, typer.Option("--start", help=f"Policy to go on from: a file.safetensors, or one of: {SHIPPED}.")
+]
+Filtered = Annotated[bool, typer.Option("--safe", help="Train with the safety filter on what is flown.")]
+
+
+@train_app.command("dagger")
+def dagger_command(
+    scenarios: Scenarios = None,
+    settings: Changes = None,
+    steps: Steps = None,
+    minutes: Minutes = None,
+    seed: Seed = 0,
+    folder: Out = None,
+    resume: Resume = False,
+    network: Kind = "set",
+    tune: Tune = None,
+    threads: Threads = None,
+) -> None:
+    """Imitate the expert (or `--tune expert=augmented`) on the states the learner itself gets into.
+
+    fovconn train dagger --steps 20000000 --out out/dagger
+    """
+    from training.dagger import Dagger, DaggerSettings
+
+    def make(flown: list[Scenario], hyper: Any, net: Any):
+        return Dagger(flown, seed, hyper, net, n_threads=threads)
+
+    _train(
+        "dagger", make, DaggerSettings, (scenarios, settings, network, tune), (steps, minutes, folder, resume, threads)
+    )
+
+
+@train_app.command("bc")
+def bc_command(
+    data: Annotated[list[Path], typer.Option("--data", help="File of `fovconn train record`; repeatable.")],
+    scenarios: Scenarios = None,
+    settings: Changes = None,
+    steps: Steps = None,
+    minutes: Minutes = None,
+    seed: Seed = 0,
+    folder: Out = None,
+    resume: Resume = False,
+    network: Kind = "set",
+    tune: Tune = None,
+    threads: Threads = None,
+) -> None:
+    """Clone the behaviour in recorded flights; --scenario is what checkpoints are scored on.
+
+    fovconn train record --policy expert --seeds 50000-50063 --out out/expert.npz
+    fovconn train bc --data out/expert.npz --steps 10000000 --out out/bc
+    """
+    from training.bc import BC, BCSettings
+    from training.datasets import load
+
+    episodes = [load(file) for file in data]
+
+    def make(flown: list[Scenario], hyper: Any, net: Any):
+        return BC(flown, seed, hyper, net, data=episodes)
+
+    _train("bc", make, BCSettings, (scenarios, settings, network, tune), (steps, minutes, folder, resume, threads))
+
+
+@train_app.command("ppo")
+def ppo_command(
+    scenarios: Scenarios = None,
+    settings: Changes = None,
+    steps: Steps = None,
+    minutes: Minutes = None,
+    seed: Seed = 0,
+    folder: Out = None,
+    resume: Resume = False,
+    network: Kind = "set",
+    start: Start = None,
+    filtered: Filtered = False,
+    tune: Tune = None,
+    threads: Threads = None,
+) -> None:
+    """PPO, one policy for all robots: from scratch, or from a policy that can fly, held near it at first.
+
+    fovconn train ppo --start out/dagger/dagger.safetensors --steps 20000000 --out out/ppo
+    """
+    from training.ppo import PPOSettings, Team
+
+    first = _start(start)
+
+    def make(flown: list[Scenario], hyper: Any, net: Any):
+        return Team(flown, seed, hyper, net, start=first, filtered=filtered, n_threads=threads)
+
+    _train("ppo", make, PPOSettings, (scenarios, settings, network, tune), (steps, minutes, folder, resume, threads))
+
+
+@train_app.command("residual")
+def residual_command(
+    scenarios: Scenarios = None,
+    settings: Changes = None,
+    steps: Steps = None,
+    minutes: Minutes = None,
+    seed: Seed = 0,
+    folder: Out = None,
+    resume: Resume = False,
+    network: Kind = "set",
+    base: Annotated[str, typer.Option(help=f"Law to correct: {', '.join(BASES)}.")] = "augmented",
+    filtered: Filtered = False,
+    tune: Tune = None,
+    threads: Threads = None,
+) -> None:
+    """PPO learns a bounded correction of a law's action; the first policy is the law itself.
+
+    fovconn train residual --base augmented --steps 20000000 --out out/residual
+    """
+    from training.residual import Residual, ResidualSettings
+
+    def make(flown: list[Scenario], hyper: Any, net: Any):
+        return Residual(flown, seed, hyper, net, filtered=filtered, n_threads=threads)
+
+    words = [f"base={base}", *(tune or [])]
+    _train(
+        "residual",
+        make,
+        ResidualSettings,
+        (scenarios, settings, network, words),
+        (steps, minutes, folder, resume, threads),
+    )
+
+
+@train_app.command("record")
+def record_command(
+    policy: Annotated[
+        str, typer.Option("--policy", help=f"Policy: {', '.join(POLICIES)}; or file.py:Class")
+    ] = "expert",
+    scenario_name: Annotated[
+        str, typer.Option("--scenario", help=f"Scenario id: {', '.join(PRESETS)}")
+    ] = "LeaderFollow-v0",
+    settings: Changes = None,
+    seeds: Annotated[
+        str, typer.Option(help="Seeds; below 50000 they choose checkpoints and evaluate.")
+    ] = "50000-50031",
+    file: Annotated[Path, typer.Option("--out", help="File to write, .npz.")] = Path("out/flights.npz"),
+) -> None:
+    """Fly a policy and write what every robot saw and did, as episodes that others can read (docs/training.md)."""
+    from training import cli
+    from training.datasets import record, save
+    from training.evaluation.campaign import parse_seeds
+
+    rule(file.suffix == ".npz", "--out", "a file that ends in .npz", str(file), "numpy.load reads it")
+    [chosen], numbers = _scenarios([scenario_name], settings), parse_seeds(seeds)
+    find_policy(policy)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with cli._progress() as bar:
+        task = bar.add_task(f"{len(numbers)} flights", total=1.0)
+        episodes = record(policy, chosen, numbers, progress=lambda done: bar.update(task, completed=done))
+        save(episodes, file)
+    steps = int(episodes.arrays["length"].sum())
+    cli.out.print(
+        f"wrote {file}: {len(episodes.arrays['length'])} episodes, {steps} steps", highlight=False, soft_wrap=True
+    )
+
+
+# ------------------------------------------------------------------------------------------------------------ common
+def _train(
+    name: str,
+    make: Callable[[list[Scenario], Any, Any], Any],
+    kind: type,
+    what: tuple[list[str] | None, list[str] | None, str, list[str] | None],
+    how: tuple[int | None, float | None, Path | None, bool, int | None],
+) -> None:
+    """Make the algorithm from the words of the command line and train it under a progress bar."""
+    import torch
+
+    from training import cli
+    from training.learning import Budget, Network, train
+
+    names, changes, network, tune = what
+    steps, minutes, folder, resume, threads = how
+    if "help" in (tune or ()):
+        for field in [*dataclasses.fields(kind), *dataclasses.fields(Network)]:
+            cli.out.print(f"{field.name}={field.default}", highlight=False)
+        return
+    budget, flown = Budget(steps=steps, minutes=minutes), _scenarios(names or ["LeaderFollow-v0"], changes)
+    hyper, net = tuned(kind, Network, tune or [], network)
+    if threads:
+        torch.set_num_threads(threads)
+    target = folder or cli.OUT / name
+    cli._check_folder(target)
+    with cli._progress() as bar:
+        task = bar.add_task("loading (compiles once, ~20 s)", total=1.0)
+        algorithm = make(flown, hyper, net)
+        best = train(
+            algorithm,
+            budget,
+            target,
+            resume=resume,
+            progress=lambda share, text: bar.update(task, completed=share, description=text or name),
+        )
+    shown = ", ".join(f"{key} {value:.3g}" for key, value in best.items() if key not in ("worth", "steps"))
+    line = f"wrote {target}/{name}.safetensors, of step {best.get('steps', 0)}: {shown}"
+    cli.out.print(line, highlight=False, soft_wrap=True)
+
+
+def tuned(kind: type, network: type, words: list[str], network_kind: str) -> tuple[Any, Any]:
+    """Settings of the algorithm and of its network from NAME=VALUE words."""
+    mine, nets = ({field.name: field for field in dataclasses.fields(part)} for part in (kind, network))
+    hyper: dict[str, Any] = {}
+    net: dict[str, Any] = {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        known = ", ".join([*mine, *nets])
+        rule(bool(equals) and (name in mine or name in nets), "--tune", f"NAME=VALUE of {known}", word, "--tune help")
+        (hyper if name in mine else net)[name] = _value(text)
+    return kind(**hyper), network(**{"kind": network_kind, **net})
+
+
+def _scenarios(names: list[str], changes: list[str] | None) -> list[Scenario]:
+    """Scenarios from ids, each with settings of its own behind it, and settings for all."""
+    from training.cli import _parse
+
+    common = _parse(changes)
+    return [scenario(word, **{**common, **_parse(own)}) for word, *own in (name.split() or [""] for name in names)]
+
+
+def _start(name: str | None) -> Path | None:
+    if name is None:
+        return None
+    kind = find_policy(name)
+    rule(issubclass(kind, Learned), "--start", "a learned policy", name, f"a file.safetensors, or one of: {SHIPPED}")
+    return getattr(kind, "file", None)
+
+
+def _value(text: str) -> Any:
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError):  # a word, such as augmented
+        return text
