@@ -36,8 +36,8 @@ def scales(max_neighbors: int, max_ranges: int, extra: int = 0) -> np.ndarray:
     """What the columns of a flat observation, and `extra` more, are divided by, (D + extra,) float32."""
 
     def of(table: tuple[layout.Column, ...]) -> list[float]:
-        highs = layout.bounds(table, _BOUNDS)[1].tolist()
-        return [_NARROW[c.name] if c.name in _NARROW else high for c, high in zip(table, highs, strict=True)]
+        highs: list[float] = layout.bounds(table, _BOUNDS)[1].astype(float).tolist()
+        return [_NARROW.get(column.name, high) for column, high in zip(table, highs, strict=True)]
 
     rows = of(layout.SELF) + max_neighbors * of(layout.NEIGHBOR) + max_ranges * of(layout.RANGE)
     return np.array(rows + extra * [1.0], np.float32)

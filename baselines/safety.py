@@ -11,7 +11,7 @@ control barrier functions", ICRA 2020, for discs; here with the paper's weights 
     g_i . u_i >= -alpha (lambda2_hat - bound) / N,    bound = lambda2_min + margin,
 
 so that nobody needs another's action, and flies the u_i nearest to what its policy wants among those that keep it,
-within the limits of speed and yaw rate. Distance is in shares of these limits, the leader's stick is part of its motion.
+within the limits of speed and yaw rate. Distance is in shares of these limits; the stick is part of a leader's motion.
 Where no limit is met, that is u + g' max(0, lack) / (g . g'), g' = g in units of the squared limits.
 """
 

@@ -14,9 +14,6 @@ To read one runs no code of the file: `numpy.load(file, allow_pickle=False)`.
 
 from __future__ import annotations
 
-import io
-import json
-import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,10 +22,10 @@ import numpy as np
 
 import fovconn_env
 from baselines import Policy, find_policy
-from baselines.cards import replace
 from baselines.inputs import columns, full_scale
 from fovconn_env import Scenario, Simulator
 from fovconn_env.settings import rule
+from training import archives
 from training.evaluation.flights import label
 from training.evaluation.results import plain
 
@@ -116,24 +113,13 @@ def _episodes(
 
 def save(episodes: Episodes, file: Path) -> Path:
     """Write episodes, in one go."""
-    stream = io.BytesIO()
-    arrays: dict[str, Any] = {**episodes.arrays, "told": np.array(json.dumps(episodes.told))}
-    np.savez_compressed(stream, allow_pickle=False, **arrays)
-    replace({file: stream.getvalue()})
+    archives.save(file, episodes.arrays, episodes.told, compressed=True)
     return file
 
 
 def load(file: Path) -> Episodes:
     """Read and check a file; `ValueError` names what is wrong with it and where."""
-    rule(file.is_file(), "data set", "a file that exists", str(file), "fovconn train record writes one")
-    try:
-        with np.load(file, allow_pickle=False) as kept:
-            arrays = {name: kept[name] for name in kept.files}
-        told = json.loads(str(arrays.pop("told")))
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as problem:
-        raise ValueError(
-            f"{file} must be a data set of fovconn train record, got another or a damaged file: {problem}"
-        ) from None
+    arrays, told = archives.load(file, "data set", "fovconn train record writes one")
     rule(told.get("format") == FORMAT, f"format of {file}", FORMAT, told.get("format"), "written by another version")
     for table, names in columns().items():
         there = told.get("columns", {}).get(table, [])

@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import math
 import platform
 import subprocess
 import sys
 import time
-import zipfile
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -31,6 +31,7 @@ from baselines.learned import Encoder, Head, from_file
 from baselines.networks import ENCODERS
 from fovconn_env import Scenario
 from fovconn_env.settings import check_count, rule
+from training import archives
 from training.evaluation import evaluate, summary
 from training.evaluation.campaign import Interrupted, noted_interruption
 from training.evaluation.results import plain
@@ -65,7 +66,14 @@ class Network:
 
 
 def make_model(rows: Rows, network: Network, seed: int, **settings: Any) -> PPO:
-    """SB3's PPO with an `ActorCriticPolicy` of ours, not trained yet; `settings` go to PPO."""
+    """SB3's PPO with an `ActorCriticPolicy` of ours, not trained yet; `settings` go to PPO.
+
+    Unless told otherwise it goes on, in SB3's hands, with the sizes of `ppo.PPOSettings`.
+    """
+    ours = {"n_steps": 128, "batch_size": 4096, "n_epochs": 4, "gamma": 0.99, "learning_rate": 5e-4, **settings}
+    collected = ours["n_steps"] * rows.num_envs
+    even = math.gcd(ours["batch_size"], collected)  # SB3 warns of batches that do not come out even
+    ours["batch_size"] = even if even > 1 else collected
     told: dict[str, Any] = {"max_neighbors": rows.parts[0].scenario.max_neighbors, "extra": rows.extra}
     if network.kind == "set":
         told |= {"width": network.width, "spots": network.spots}
@@ -77,7 +85,7 @@ def make_model(rows: Rows, network: Network, seed: int, **settings: Any) -> PPO:
         "activation_fn": nn.SiLU,
         "log_std_init": network.log_std,
     }
-    model = PPO("MlpPolicy", rows, seed=seed, device="cpu", policy_kwargs=policy, **settings)
+    model = PPO("MlpPolicy", rows, seed=seed, device="cpu", policy_kwargs=policy, **ours)
     model.set_logger(Logger(None, []))
     return model
 
@@ -191,25 +199,6 @@ def part(arrays: Mapping[str, np.ndarray], name: str) -> dict[str, np.ndarray]:
 
 
 # ------------------------------------------------------------------------------------------------------------- files
-def pack_file(arrays: Mapping[str, np.ndarray], told: Mapping[str, Any]) -> bytes:
-    """Arrays and settings as the bytes of an .npz file; to read it runs no code of the file."""
-    stream = io.BytesIO()
-    np.savez(stream, **{**arrays, "told": np.array(json.dumps(told))}, allow_pickle=False)
-    return stream.getvalue()
-
-
-def unpack_file(file: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """What `pack_file` wrote; `ValueError` for a file that is missing or damaged."""
-    hint = "--resume goes on in a folder in which a training was"
-    rule(file.is_file(), "checkpoint", "a file that exists", str(file), hint)
-    try:
-        with np.load(file, allow_pickle=False) as kept:
-            arrays = {name: kept[name] for name in kept.files}
-        return arrays, json.loads(str(arrays.pop("told")))
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as problem:
-        raise ValueError(f"{file} must be a checkpoint of a training, got a damaged one: {problem}") from problem
-
-
 class Curves:
     """Numbers over agent steps, for TensorBoard and as lines "step,name,value" in curves.csv."""
 
@@ -271,7 +260,8 @@ def train(
     folder.mkdir(parents=True, exist_ok=True)
     place, best = folder / CHECKPOINT, {"worth": -np.inf}
     if resume:
-        arrays, told = unpack_file(place)
+        hint = "--resume goes on in a folder in which a training was"
+        arrays, told = archives.load(place, "checkpoint", hint)
         check_recipe(told["recipe"], algorithm.recipe())
         algorithm.unpack(arrays)
         best = told["best"]
@@ -279,8 +269,7 @@ def train(
     began = time.perf_counter()
 
     def save() -> None:
-        data = pack_file(algorithm.pack(), {"recipe": algorithm.recipe(), "best": best})
-        replace({place: data})
+        archives.save(place, algorithm.pack(), {"recipe": algorithm.recipe(), "best": best})
 
     with noted_interruption() as interrupted:
         share = budget.share(algorithm.steps, algorithm.seconds)
