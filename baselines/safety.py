@@ -37,8 +37,8 @@ _GROWTHS, _STEPS = 20, 60  # by a factor of 4, then of bisection: to the last bi
 class Barrier:
     """How near to its bound lambda2 may come, and how fast."""
 
-    alpha: float = 1.0  # 1/s, the distance to the bound shrinks no faster than e^(-alpha t)
-    margin: float = 0.1  # the bound is this far above lambda2_min: estimates lag
+    alpha: float = 4.0  # 1/s, the distance to the bound shrinks no faster than e^(-alpha t)
+    margin: float = 0.3  # the bound is this far above lambda2_min: estimates lag
 
     def __post_init__(self) -> None:
         check_numbers(self, above="alpha", at_least="margin")

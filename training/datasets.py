@@ -111,14 +111,16 @@ def _episodes(
     return {name: np.concatenate(rows).astype(KINDS[name]) for name, rows in parts.items()}
 
 
-def save(episodes: Episodes, file: Path) -> Path:
+def save(episodes: Episodes, file: str | Path) -> Path:
     """Write episodes, in one go."""
+    file = Path(file)
     archives.save(file, episodes.arrays, episodes.told, compressed=True)
     return file
 
 
-def load(file: Path) -> Episodes:
+def load(file: str | Path) -> Episodes:
     """Read and check a file; `ValueError` names what is wrong with it and where."""
+    file = Path(file)
     arrays, told = archives.load(file, "data set", "fovconn train record writes one")
     rule(told.get("format") == FORMAT, f"format of {file}", FORMAT, told.get("format"), "written by another version")
     for table, names in columns().items():
