@@ -62,11 +62,14 @@ class SetEncoder(Encoder):
         silu, scaled = nn.functional.silu, flat / self.scales
         first, last = OWN + self.max_neighbors * ROW, scaled.shape[1] - self.extra
         own = torch.cat([scaled[:, :OWN], emphasis(flat[:, LAMBDA2 : LAMBDA2 + 1]), scaled[:, last:]], dim=1)
-        rows = _used(scaled[:, OWN:first].unflatten(1, (self.max_neighbors, ROW)))
-        points = _used(scaled[:, first:last].unflatten(1, (self.max_ranges, POINT)))
-        terms = silu(self.term(silu(self.row(rows) + self.own(own)[:, None])))
+        robot, rows = _used(scaled[:, OWN:first].unflatten(1, (self.max_neighbors, ROW)))
+        terms = silu(self.term(silu(self.row(rows) + self.own(own).index_select(0, robot))))
+        owner, points = _used(scaled[:, first:last].unflatten(1, (self.max_ranges, POINT)))
         spots = silu(self.spot(silu(self.point(points))))
-        sums = [SHARE * (part * used[..., :1]).sum(1) for part, used in ((terms, rows), (spots, points))]
+        sums = [
+            SHARE * part.new_zeros(len(flat), part.shape[1]).index_add(0, at, part)
+            for at, part in ((robot, terms), (owner, spots))
+        ]
         return torch.cat([own, *sums], dim=1)
 
 
@@ -85,7 +88,7 @@ class FlatEncoder(Encoder):
 ENCODERS: dict[str, type[Encoder]] = {"set": SetEncoder, "mlp": FlatEncoder}
 
 
-def _used(rows: torch.Tensor) -> torch.Tensor:
-    """Rows (R, m, n) of (R, M, n) up to the last one that any robot uses: a small team does not fill them."""
-    used = torch.nonzero(rows[..., 0].amax(0))
-    return rows[:, : int(used[-1]) + 1 if len(used) else 1]
+def _used(rows: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Robots (K,) and rows (K, n) of the K rows in use of (R, M, n), robot by robot: the rest costs nothing."""
+    robot, place = torch.nonzero(rows[..., 0], as_tuple=True)
+    return robot, rows[robot, place]
