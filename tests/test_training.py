@@ -310,7 +310,8 @@ def test_a_warm_start_stays_near_its_start(tmp_path):
             trained.iteration += 1
             trained.iterate(share)
         with torch.no_grad():
-            away[pull] = float(trained.away(torch.from_numpy(trained.rows.observations)))
+            rows = torch.from_numpy(trained.rows.observations)
+            away[pull] = float(trained.away(mean_action(trained.policy, rows), mean_action(trained.anchor, rows)))
     assert 0.0 < away[100.0] < 0.5 * away[0.0]
 
 

@@ -102,13 +102,14 @@ class Team(Algorithm):
             curves = dict.fromkeys(curves, 0.0)
             for chosen in np.array_split(rng.permutation(count), n_batches):
                 batch = {name: tensor[chosen] for name, tensor in data.items()}
-                values, log_prob, _ = policy.evaluate_actions(batch["observations"], batch["actions"])
+                distribution = policy.get_distribution(batch["observations"])
+                values, log_prob = policy.predict_values(batch["observations"]), distribution.log_prob(batch["actions"])
                 ratio = torch.exp(log_prob - batch["log_prob"])
                 gain = batch["advantages"]
                 gain = (gain - gain.mean()) / (gain.std() + 1e-8)
                 actor = -torch.min(gain * ratio, gain * ratio.clamp(1.0 - s.clip, 1.0 + s.clip)).mean()
                 critic = nn.functional.mse_loss(values.flatten(), batch["returns"])
-                away = self.away(batch["observations"]) if pull > 0.0 and not alone else torch.zeros(())
+                away = self.away(distribution.mode(), batch["start"]) if pull > 0.0 else torch.zeros(())
                 total = s.value * critic
                 if not alone:
                     total = total + actor + pull * away - s.entropy * policy.log_std.sum()  # of which entropy is made
@@ -126,15 +127,16 @@ class Team(Algorithm):
         buffer = self.model.rollout_buffer
         parts = {"observations": buffer.observations, "actions": buffer.actions, "returns": buffer.returns}
         parts |= {"log_prob": buffer.log_probs, "advantages": buffer.advantages}
-        return {name: torch.from_numpy(array.reshape(-1, *array.shape[2:])) for name, array in parts.items()}
+        data = {name: torch.from_numpy(array.reshape(-1, *array.shape[2:])) for name, array in parts.items()}
+        if self.anchor is not None:
+            with torch.no_grad():
+                chunks = data["observations"].split(self.s.batch)
+                data["start"] = torch.cat([mean_action(self.anchor, chunk) for chunk in chunks])
+        return data
 
-    def away(self, observations: torch.Tensor) -> torch.Tensor:
-        """Mean divergence KL(start | policy) of two Gaussians with the policy's deviation."""
-        assert self.anchor is not None
-        with torch.no_grad():
-            there = mean_action(self.anchor, observations)
-        deviation = self.policy.log_std.detach().exp()
-        return (((mean_action(self.policy, observations) - there) / deviation) ** 2).sum(1).mean() / 2.0
+    def away(self, mean: torch.Tensor, start: torch.Tensor) -> torch.Tensor:
+        """Mean divergence KL(start | policy) of two Gaussians (R, 4) with the policy's deviation."""
+        return (((mean - start) / self.policy.log_std.detach().exp()) ** 2).sum(1).mean() / 2.0
 
     def recipe(self) -> dict:
         """With start and filter."""
