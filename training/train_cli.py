@@ -47,6 +47,7 @@ Tune = Annotated[
     ),
 ]
 Threads = Annotated[int | None, typer.Option(help="Threads of simulator and torch; one a core by default.", min=1)]
+Scores = Annotated[int, typer.Option(help="How often the policy is scored, and a checkpoint written.", min=1)]
 Start = Annotated[
     str | None, typer.Option("--start", help=f"Policy to go on from: a file.safetensors, or one of: {SHIPPED}.")
 ]
@@ -65,6 +66,7 @@ def dagger_command(
     network: Kind = "set",
     tune: Tune = None,
     threads: Threads = None,
+    scores: Scores = 10,
 ) -> None:
     """Imitate the expert (or `--tune expert=augmented`) on the states the learner itself gets into.
 
@@ -76,7 +78,11 @@ def dagger_command(
         return Dagger(flown, seed, hyper, net, n_threads=threads)
 
     _train(
-        "dagger", make, DaggerSettings, (scenarios, settings, network, tune), (steps, minutes, folder, resume, threads)
+        "dagger",
+        make,
+        DaggerSettings,
+        (scenarios, settings, network, tune),
+        (steps, minutes, folder, resume, threads, scores),
     )
 
 
@@ -93,6 +99,7 @@ def bc_command(
     network: Kind = "set",
     tune: Tune = None,
     threads: Threads = None,
+    scores: Scores = 10,
 ) -> None:
     """Clone the behaviour in recorded flights; --scenario is what checkpoints are scored on.
 
@@ -107,7 +114,9 @@ def bc_command(
     def make(flown: list[Scenario], hyper: Any, net: Any):
         return BC(flown, seed, hyper, net, data=episodes)
 
-    _train("bc", make, BCSettings, (scenarios, settings, network, tune), (steps, minutes, folder, resume, threads))
+    _train(
+        "bc", make, BCSettings, (scenarios, settings, network, tune), (steps, minutes, folder, resume, threads, scores)
+    )
 
 
 @train_app.command("ppo")
@@ -124,6 +133,7 @@ def ppo_command(
     filtered: Filtered = False,
     tune: Tune = None,
     threads: Threads = None,
+    scores: Scores = 10,
 ) -> None:
     """PPO, one policy for all robots: from scratch, or from a policy that can fly, held near it at first.
 
@@ -136,7 +146,13 @@ def ppo_command(
     def make(flown: list[Scenario], hyper: Any, net: Any):
         return Team(flown, seed, hyper, net, start=first, filtered=filtered, n_threads=threads)
 
-    _train("ppo", make, PPOSettings, (scenarios, settings, network, tune), (steps, minutes, folder, resume, threads))
+    _train(
+        "ppo",
+        make,
+        PPOSettings,
+        (scenarios, settings, network, tune),
+        (steps, minutes, folder, resume, threads, scores),
+    )
 
 
 @train_app.command("residual")
@@ -153,6 +169,7 @@ def residual_command(
     filtered: Filtered = False,
     tune: Tune = None,
     threads: Threads = None,
+    scores: Scores = 10,
 ) -> None:
     """PPO learns a bounded correction of a law's action; the first policy is the law itself.
 
@@ -169,7 +186,7 @@ def residual_command(
         make,
         ResidualSettings,
         (scenarios, settings, network, words),
-        (steps, minutes, folder, resume, threads),
+        (steps, minutes, folder, resume, threads, scores),
     )
 
 
@@ -212,7 +229,7 @@ def _train(
     make: Callable[[list[Scenario], Any, Any], Any],
     kind: type,
     what: tuple[list[str] | None, list[str] | None, str, list[str] | None],
-    how: tuple[int | None, float | None, Path | None, bool, int | None],
+    how: tuple[int | None, float | None, Path | None, bool, int | None, int],
 ) -> None:
     """Make the algorithm from the words of the command line and train it under a progress bar."""
     import torch
@@ -221,7 +238,7 @@ def _train(
     from training.learning import Budget, Network, train
 
     names, changes, network, tune = what
-    steps, minutes, folder, resume, threads = how
+    steps, minutes, folder, resume, threads, scores = how
     if "help" in (tune or ()):
         for field in [*dataclasses.fields(kind), *dataclasses.fields(Network)]:
             cli.out.print(f"{field.name}={field.default}", highlight=False)
@@ -240,6 +257,7 @@ def _train(
             budget,
             target,
             resume=resume,
+            scores=scores,
             progress=lambda share, text: bar.update(task, completed=share, description=text or name),
         )
     shown = ", ".join(f"{key} {value:.3g}" for key, value in best.items() if key not in ("worth", "steps"))
