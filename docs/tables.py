@@ -119,7 +119,8 @@ def levels_table(name: str) -> str:
         found = [level["policies"][policy] for policy in policies]
         if what:
             cells = [f"{each['bytes_per_second']:,.0f}" for each in found]
-            cells += [f"{100 * each['lambda2_error_median']:.2g} %" for each in found]
+            errors = [100 * each["lambda2_error_median"] for each in found]
+            cells += [f"{error:.0f} %" if error >= 10 else f"{error:.2g} %" for error in errors]
         else:
             cells = [f"{100 * each['never_disconnected']:.0f} / {100 * each['success']:.0f}" for each in found]
         rows.append([f"{number}", settings, f"{level['episodes']}", *cells])
