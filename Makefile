@@ -36,11 +36,12 @@ test-integrations: $(LIBRARIES)/current/installed $(LIBRARIES)/older/installed  
 	$(LIBRARIES)/current/bin/python -m pytest tests/integrations tests/test_sb3.py $(ARGS)
 	$(LIBRARIES)/older/bin/python -m pytest tests/integrations $(ARGS)
 
-results: $(VENV)/installed-demo  ## fly all that docs/results.md and the README's table show (about 15 min), and write them
+results: $(VENV)/installed-demo  ## fly all that docs/results.md and the README's table show (about 40 min), and write them
 	$(BIN)/fovconn eval --suite full --out out/results/full --record docs/results/full.json
 	$(BIN)/fovconn eval $(LONG) --seeds 0-999 --out out/results/thousand --record docs/results/thousand.json
 	$(BIN)/fovconn eval $(LONG) --seeds 0-999 --set stick_speed=2.5 --out out/results/fast --record docs/results/fast.json
 	$(BIN)/fovconn figures --ablations --seeds 0-319 --out out/results/ablations --record docs/results/ablations.json
+	$(BIN)/python docs/levels.py
 	cp out/results/ablations/ablations.png docs/images/
 	cp $(addprefix out/results/full/plots/,$(SHOWN)) docs/images/
 	$(BIN)/python docs/tables.py

@@ -2,8 +2,9 @@
 
 A table stands between `<!-- KIND:NAME -->` and `<!-- end -->`. KIND is `layout` (a table of `fovconn_env.layout`, or
 `layout:scales`, what the named bounds are), `settings` (fields of a settings class, with the comment beside each),
-`bench` (rates, bars or machine of docs/benchmark.json, which `fovconn bench --json` writes) or `results`
-(a table of a record in docs/results, which `make results` writes).
+`bench` (rates, bars or machine of docs/benchmark.json, which `fovconn bench --json` writes), `results`
+(a table of a record in docs/results, which `make results` writes) or `levels` (of one scenario, from
+docs/results/levels.json, which docs/levels.py writes).
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # runs from a clone without an install, too
 
-from baselines import Gains
+from baselines import Gains, find_policy
 from fovconn_env import layout, scenarios, settings
 from fovconn_env.layout import Column
 from training.bench.report import bar_table, machine_line, rate_table, restless
@@ -44,7 +45,7 @@ _FIELD = re.compile(r"^    (\w+): (.+?) = (.+?)(?:  # (.*))?$", re.MULTILINE)
 def rendered(text: str) -> str:
     """A page with its generated tables made anew."""
     kinds = {"layout": layout_table, "settings": settings_table, "bench": bench_table}
-    kinds |= {"results": results_table}
+    kinds |= {"results": results_table, "levels": levels_table}
     return _MARKED.sub(lambda found: f"{found[1]}\n{kinds[found[2]](found[3])}\n\n{found[4]}", text)
 
 
@@ -99,6 +100,33 @@ def results_table(name: str) -> str:
     found = report["tables"][table] if table else report
     notes = [note for note in report.get("footnotes", ()) if any(note[0] in row[0] for row in found["rows"])]
     return "\n\n".join([_markdown(found["head"], found["rows"]), *notes])
+
+
+def levels_table(name: str) -> str:
+    """The Markdown table of a scenario's levels: settings, and what each policy keeps and finishes.
+
+    name: "run" for a line of text instead, a scenario, or a scenario and "lambda2" for what its estimates are worth and
+    what their messages weigh, by power iteration and by flooding.
+    """
+    report = json.loads((ROOT / "docs" / "results" / "levels.json").read_text("utf-8"))
+    if name == "run":
+        return _run_line(report)
+    name, _, what = name.partition(" ")
+    rows, levels = [], report["levels"][name]
+    policies = ["expert", "expert-flooding"] if what else list(levels[0]["policies"])
+    for number, level in enumerate(levels, start=1):
+        settings = " ".join(f"`{setting}={value}`" for setting, value in level["changes"].items()) or "-"
+        found = [level["policies"][policy] for policy in policies]
+        if what:
+            cells = [f"{each['bytes_per_second']:,.0f}" for each in found]
+            errors = [100 * each["lambda2_error_median"] for each in found]
+            cells += [f"{error:.0f} %" if error >= 10 else f"{error:.2g} %" for error in errors]
+        else:
+            cells = [f"{100 * each['never_disconnected']:.0f} / {100 * each['success']:.0f}" for each in found]
+        rows.append([f"{number}", settings, f"{level['episodes']}", *cells])
+    head = [f"{policy} †" if find_policy(policy).oracle else policy for policy in policies]
+    head = [f"{quantity}, {policy}" for quantity in ("B/s", "error") for policy in head] if what else head
+    return _markdown(["level", "settings", "episodes", *head], rows)
 
 
 def _run_line(report: dict) -> str:

@@ -11,16 +11,18 @@ from functools import partial
 import gymnasium
 import pettingzoo
 
+from fovconn_env.corridor import Corridor
 from fovconn_env.flight import Flight
 from fovconn_env.graph import Graph
 from fovconn_env.maps import Forest, Map
 from fovconn_env.parallel import ParallelEnv, env, parallel_env, raw_env
-from fovconn_env.scenarios import PRESETS, Scenario, scenario
+from fovconn_env.scenarios import LEVELS, PRESETS, Scenario, scenario
 from fovconn_env.settings import (
     Airframe,
     Camera,
     Clock,
     Course,
+    Fault,
     Flooding,
     Noise,
     PowerIteration,
@@ -34,11 +36,14 @@ from fovconn_env.simulator import Simulator
 
 __version__ = "0.1.0"
 __all__ = [
+    "LEVELS",
     "PRESETS",
     "Airframe",
     "Camera",
     "Clock",
+    "Corridor",
     "Course",
+    "Fault",
     "Flight",
     "Flooding",
     "Forest",

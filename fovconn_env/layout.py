@@ -44,6 +44,7 @@ SELF = (
     *_MOTION,
     Column("lambda2_hat", "-", "-", 0.0, "lambda2", "own estimate of lambda2"),
     Column("v2_hat", "-", "-", -2.0, 2.0, "own entry of the estimated unit eigenvector v2"),
+    Column("team_share", "share", "-", 0.0, 1.0, "share of the team it has word of, itself included; below 1: split"),
     Column("is_leader", "0/1", "-", 0.0, 1.0, "1 for the robot the operator pulls"),
     *_vector("stick_", "xyz", "m/s", "yaw", "stick", "operator's velocity, added in the next step (leader only)"),
 )
@@ -98,6 +99,11 @@ MESSAGE = (*NOTE, *BROADCAST)
 BYTES_PER_MESSAGE = 4 * len(MESSAGE)  # on air every field is one 32-bit number
 
 
+def bytes_per_beats(n_agents: int) -> int:
+    """What the first message of a tick carries more: a byte for the age of each robot's last beat."""
+    return n_agents
+
+
 def bytes_per_table(n_agents: int) -> int:
     """What the first message of a tick carries more with lambda2 = "flooding": N rows of N weights and a tick."""
     return 4 * n_agents * (n_agents + 1)
@@ -132,12 +138,13 @@ INFO = (
     Column("success", "0/1", "-", 0.0, 1.0, "the course is finished"),
     Column("collision", "0/1", "-", 0.0, 1.0, "a collision ended the episode"),
     Column("disconnected", "0/1", "-", 0.0, 1.0, "the team was split for longer than its patience"),
-    Column("lost_link_cause", "code", "-", 0.0, 4.0, "why it lost a link in this step, see LOST_LINK"),
+    Column("lost_link_cause", "code", "-", 0.0, 5.0, "why it lost a link in this step, see LOST_LINK"),
     Column("bytes_sent", "bytes", "-", 0.0, "inf", "bytes it sent in this step"),
     Column("neighbors_dropped", "robots", "-", 0.0, "inf", "neighbours beyond max_neighbors"),
+    Column("alive", "0/1", "-", 0.0, 1.0, "0 from the robot's death on"),
     *(Column(f"reward_{name}", "-", "-", "-inf", "inf", f"reward term: {name}") for name in REWARDS),
 )
-LOST_LINK = ("none", "range", "own field of view", "its field of view", "occlusion")
+LOST_LINK = ("none", "range", "own field of view", "its field of view", "occlusion", "fault")
 
 
 def record(table: tuple[Column, ...], number: str) -> np.dtype:

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from fovconn_env.kernel.faults import count_living
 from fovconn_env.kernel.jit import entry, kernel
-from fovconn_env.kernel.judge import OCCLUSION, OWN_VIEW, RANGE, lost_link
+from fovconn_env.kernel.judge import FAULT, OCCLUSION, OWN_VIEW, RANGE, lost_link
 from fovconn_env.kernel.lambda2_estimator import FLOODING
 from fovconn_env.kernel.weights import range_weight
 from fovconn_env.scenarios import Scenario
@@ -19,17 +20,20 @@ MOVING = 0.05  # m/s, a robot that is faster moves
 ERRORS = ("lambda2", "yaw_mutual", "yaw_one_way")  # what the histograms count
 BINS_PER_DECADE, DECADES, LOWEST = 20, 8, 1e-6
 N_BINS = BINS_PER_DECADE * DECADES + 2  # the first: below LOWEST, the last: from 100 on
-SPLIT_CAUSE = ("none", "range", "field of view", "occlusion")
+SPLIT_CAUSE = ("none", "range", "field of view", "occlusion", "fault")
 
-_CAUSES = ("range", "view", "occlusion")
-BY_OCCLUSION = 3  # SPLIT_CAUSE; the others are the judge's
+CAUSES = ("range", "view", "occlusion", "fault")  # of a lost link
+BY_OCCLUSION, BY_FAULT = 3, 4  # SPLIT_CAUSE; the others are the judge's
 _METER = np.dtype(
     (
         np.record,
         [
             ("open", "i8"),  # the episode was not over before the step
-            *((f"lost_by_{cause}", "i8") for cause in _CAUSES),
-            *((name, "i8") for name in "steps connected mutual one_way saturated split_cause".split()),
+            *((f"lost_by_{cause}", "i8") for cause in CAUSES),
+            *(
+                (name, "i8")
+                for name in "steps living living_pairs connected mutual one_way saturated split_cause".split()
+            ),
             *((name, "i8") for name in "mutual_time mutual_valid one_way_time one_way_valid".split()),
             *((name, "f8") for name in "lambda2 speed bytes reward least_lambda2 least_separation".split()),
             *((name, "f8") for name in "least_clearance first_loss moved_at alignment aligned hat".split()),
@@ -63,8 +67,9 @@ class Meter:
     def results(self) -> dict[str, np.ndarray]:
         """Measures of every episode, (B,) each; names and units in `docs/metrics.md`."""
         sums, scenario, episode = self._sums, self.simulator.scenario, self.simulator.state.episode
-        n, steps = scenario.n_agents, np.maximum(sums["steps"], 1)
-        duration, pairs = steps * scenario.step_time, n * (n - 1) / 2
+        steps = np.maximum(sums["steps"], 1)
+        living, pairs = (np.where(sums["steps"] > 0, sums[name], 1) / steps for name in ("living", "living_pairs"))
+        duration = steps * scenario.step_time
         mutual, one_way = (self._histograms[:, k].sum(-1) for k in (1, 2))
         return {
             "sct": episode["success"] * np.minimum(ideal_time(scenario) / duration, 1.0),
@@ -78,17 +83,17 @@ class Meter:
             "split_cause": sums["split_cause"].astype(float),
             "split_lambda2_hat": sums["split_hat"],
             "split_alignment": sums["split_alignment"],
-            "links_lost_per_minute": sum(sums[f"lost_by_{cause}"] for cause in _CAUSES) / duration * 60,
-            **{f"lost_by_{cause}": sums[f"lost_by_{cause}"].astype(float) for cause in _CAUSES},
-            "mutual_share": sums["mutual"] / steps / pairs,
-            "one_way_share": sums["one_way"] / steps / pairs,
+            "links_lost_per_minute": sum(sums[f"lost_by_{cause}"] for cause in CAUSES) / duration * 60,
+            **{f"lost_by_{cause}": sums[f"lost_by_{cause}"].astype(float) for cause in CAUSES},
+            "mutual_share": _ratio(sums["mutual"] / steps, pairs),
+            "one_way_share": _ratio(sums["one_way"] / steps, pairs),
             "least_separation": sums["least_separation"],
             "least_clearance": np.minimum(sums["least_clearance"], 1e3),
             "progress": _ratio(episode["travelled"], episode["pushed"]),
             "duration": duration,
             "time_to_goal": np.where(episode["success"], duration, np.nan),
             "mean_speed": sums["speed"] / steps,
-            "saturated_share": sums["saturated"] / steps / n,
+            "saturated_share": _ratio(sums["saturated"] / steps, living),
             "v2_alignment": _ratio(sums["alignment"], sums["connected"]),
             "yaw_rms_mutual": np.sqrt(_ratio(sums["square_mutual"], mutual)),
             "yaw_rms_one_way": np.sqrt(_ratio(sums["square_one_way"], one_way)),
@@ -148,9 +153,10 @@ def _measure(body, pair, track, belief, mode, fiedler, info, episode, reward, su
         connected = lambda2 > p.lambda2_min
         if connected:
             s.connected += 1
-            _align(belief[b], mode[b], fiedler[b], s, p)
+            _align(body[b], belief[b], mode[b], fiedler[b], s, p)
             for i in range(n):
-                histograms[b, 0, _bin(abs(belief[b, i].lambda2_hat - lambda2) / lambda2)] += 1
+                if body[b, i].alive:
+                    histograms[b, 0, _bin(abs(belief[b, i].lambda2_hat - lambda2) / lambda2)] += 1
         elif math.isnan(s.first_loss):
             s.first_loss, s.split_cause = now, cause if cause > 0 else _weakness(pair[b], fiedler[b], p)
             s.split_alignment, s.split_hat = s.aligned, s.hat  # of the last step before it
@@ -160,17 +166,21 @@ def _measure(body, pair, track, belief, mode, fiedler, info, episode, reward, su
 
 @kernel
 def _count_motion(bodies, rewards, infos, s, now, p):
-    n = bodies.shape[0]
+    n, living = bodies.shape[0], count_living(bodies)
+    s.living += living
+    s.living_pairs += living * (living - 1) // 2
     for i in range(n):
+        s.reward += rewards[i] / n
         a = bodies[i]
+        if not a.alive:
+            continue
         speed = math.sqrt(a.vx * a.vx + a.vy * a.vy + a.vz * a.vz)
         command = math.sqrt(a.command_vx**2 + a.command_vy**2 + a.command_vz**2)
         if speed > MOVING:
             s.moved_at = min(s.moved_at, now)
-        s.speed += speed / n
+        s.speed += speed / living
         s.saturated += command > 0.999 * p.speed_limit
-        s.bytes += infos[i].bytes_sent / n
-        s.reward += rewards[i] / n
+        s.bytes += infos[i].bytes_sent / living
         s.least_separation = min(s.least_separation, a.nearest)
         s.least_clearance = min(s.least_clearance, a.clearance)
 
@@ -188,8 +198,11 @@ def _count_links(pairs, before, s, p):
                 s.lost_by_range += why == RANGE
                 s.lost_by_view += why == OWN_VIEW
                 s.lost_by_occlusion += why == OCCLUSION
+                s.lost_by_fault += why == FAULT
                 if weight > strongest:
-                    strongest, cause = weight, BY_OCCLUSION if why == OCCLUSION else why
+                    strongest, cause = weight, why
+                    if why >= OCCLUSION:
+                        cause = BY_OCCLUSION if why == OCCLUSION else BY_FAULT
             before[i, j] = ij.weight
             s.mutual += ij.seen and ji.seen
             s.one_way += ij.seen != ji.seen
@@ -209,21 +222,24 @@ def _weakness(pairs, v2, p):
 
 
 @kernel
-def _align(beliefs, modes, v2, s, p):
-    """Cosine between the robots' v2 and the true one, without sign, and the mean of their lambda2_hat.
+def _align(bodies, beliefs, modes, v2, s, p):
+    """Cosine between the living robots' v2 and the true one, without sign, and the mean of their lambda2_hat.
 
     With flooding each robot has a vector of its own (N,), and the mean of the cosines counts.
     """
     n, along, square, hat, aligned = v2.shape[0], 0.0, 0.0, 0.0, 0.0
+    living = count_living(bodies)
     for i in range(n):
+        if not bodies[i].alive:
+            continue
         along += beliefs[i].v2_hat * v2[i]
         square += beliefs[i].v2_hat ** 2
-        hat += beliefs[i].lambda2_hat / n
+        hat += beliefs[i].lambda2_hat / living
         if p.lambda2 == FLOODING:
             own = 0.0
             for j in range(n):
                 own += modes[i, j] * v2[j]
-            aligned += abs(own) / n
+            aligned += abs(own) / living
     if p.lambda2 != FLOODING:
         aligned = abs(along) / math.sqrt(square) if square > 0.0 else 0.0
     s.aligned, s.hat = aligned, hat

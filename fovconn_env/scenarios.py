@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from fovconn_env import layout
+from fovconn_env.corridor import Corridor
 from fovconn_env.kernel.types import PARAMS
 from fovconn_env.maps import Forest, Map
 from fovconn_env.settings import (
@@ -20,6 +21,7 @@ from fovconn_env.settings import (
     Camera,
     Clock,
     Course,
+    Fault,
     Flooding,
     Noise,
     PowerIteration,
@@ -121,7 +123,8 @@ class Scenario:
     start: Start = field(default_factory=Start)
     course: Course = field(default_factory=Course)
     reward: Reward = field(default_factory=Reward)
-    map: Map | Forest | None = None  # obstacles: given, drawn at random, or none
+    map: Map | Forest | Corridor | None = None  # obstacles: given, drawn at random, or none
+    faults: tuple[Fault, ...] = ()  # what dies in an episode, see Fault below
 
     def __post_init__(self) -> None:
         for name in _GROUPS:
@@ -146,11 +149,24 @@ class Scenario:
         hint = "robots would collide before they may meet"
         apart = self.start.spacing > self.collision_robot
         rule(apart, "Start.spacing", f"above collision_robot ({self.collision_robot:g})", self.start.spacing, hint)
-        if not isinstance(self.map, (Map, Forest, type(None))):
-            hint = "a file, .json or .svg, goes through Map.from_file"
-            raise TypeError(f"Scenario.map must be a Map, a Forest or None, got {self.map!r}: {hint}")
+        self._check_faults()
+        if not isinstance(self.map, (Map, Forest, Corridor, type(None))):
+            says, hint = "a Map, a Forest, a Corridor or None", "a file, .json or .svg, goes through Map.from_file"
+            raise TypeError(f"Scenario.map must be {says}, got {self.map!r}: {hint}")
+        if isinstance(self.map, Corridor):
+            hint = "a Corridor stands across the second leg of the leader's course"
+            rule(self.leader != "none", "Scenario.leader", "waypoints with a Corridor", self.leader, hint)
+            rule(self.course.legs >= 2, "Course.legs", "at least 2 with a Corridor", self.course.legs, hint)
         if isinstance(self.map, Map):  # a Map can be added to, a scenario is frozen
             object.__setattr__(self, "map", copy.copy(self.map))
+
+    def _check_faults(self) -> None:
+        if not isinstance(self.faults, tuple) or not all(isinstance(fault, Fault) for fault in self.faults):
+            hint = "write faults=(Fault(...),)"
+            raise TypeError(f"Scenario.faults must be a tuple of Faults, got {self.faults!r}: {hint}")
+        for k, fault in enumerate(self.faults):
+            inside, says = fault.robot is None or fault.robot < self.n_agents, f"in 0..{self.n_agents - 1}"
+            rule(inside, f"Scenario.faults[{k}].robot", says, fault.robot, "robots are counted from 0")
 
     @property
     def step_time(self) -> float:
@@ -191,7 +207,7 @@ class Scenario:
         values["rest_ticks"] = math.ceil(quiet / clock.tick) + 2
         values |= dict(zip(("axis_x", "axis_y", "axis_z"), axis, strict=True))
         for item in dataclasses.fields(self):
-            value = getattr(self, item.name)
+            value = self.power.scaled(self.n_agents) if item.name == "power" else getattr(self, item.name)
             if item.name in _GROUPS:
                 prefix = item.name + "_" if item.name in _PREFIXED else ""
                 values |= {prefix + inner.name: getattr(value, inner.name) for inner in dataclasses.fields(value)}
@@ -201,6 +217,11 @@ class Scenario:
         for name in PARAMS.names or ():
             record[name] = values[name]
         return record
+
+
+def _view(edge: float, full: float) -> Camera:
+    """A camera that sees up to `edge` degrees off its axis, and from `full` degrees on with the full weight."""
+    return Camera(a_min=math.cos(math.radians(edge)), a_max=math.cos(math.radians(full)))
 
 
 PRESETS: dict[str, Scenario] = {
@@ -224,16 +245,75 @@ PRESETS: dict[str, Scenario] = {
             dynamics="quadrotor",
             airframe=Airframe(rotor_noise=0.01, force_noise=0.2),
         ),
+        Scenario(  # followers fail: a camera, a radio for a while, a whole robot
+            name="Blackout-v0",
+            patience=math.inf,
+            faults=(
+                Fault(kind="camera", at=(10.0, 40.0)),
+                Fault(kind="radio", at=(10.0, 40.0), lasts=10.0),
+                Fault(kind="robot", at=(10.0, 40.0)),
+            ),
+        ),
+        Scenario(  # one gap in a wall, narrower than the team
+            name="Corridor-v0",
+            camera=Camera(occlusion=True),
+            map=Corridor(width=(5.0, 5.5)),
+        ),
+        Scenario(name="LeaderAggressive-v0", stick_speed=1.5),  # an operator as fast as the robots, or faster
+        Scenario(name="NarrowCamera-v0", camera=_view(45.0, 15.0)),
+        Scenario(name="LossyRadio-v0", patience=math.inf, radio=Radio(loss=0.1, delay=10)),  # slow as well
+        Scenario(  # neighbours that hardly move tell nothing of their yaw
+            name="YawTrap-v0",
+            n_agents=3,
+            stick_speed=0.2,
+            course=Course(leg=3.0),
+        ),
+        Scenario(name="ScaleUp-v0", n_agents=3),
+        Scenario(  # some of each
+            name="Mix-v0",
+            stick_speed=1.5,
+            camera=dataclasses.replace(_view(55.0, 15.0), occlusion=True),
+            radio=Radio(loss=0.1, delay=4),
+            map=Forest(n_pillars=3, n_walls=0),
+        ),
     )
 }
 
 
-def scenario(base: str | Scenario = "LeaderFollow-v0", /, **changes: Any) -> Scenario:
-    """A preset by id (with or without "fovconn/") or a `Scenario`, with settings changed.
+# What the levels from 2 on change in a preset, which is level 1. Their order is that of the setting that grows; what
+# they are worth is measured: docs/scenarios.md.
+LEVELS: dict[str, tuple[dict[str, Any], ...]] = {
+    "Corridor-v0": ({"map": Corridor(width=(3.5, 4.0))}, {"map": Corridor(width=(2.5, 3.0))}),
+    "LeaderAggressive-v0": ({"stick_speed": 2.5}, {"stick_speed": 3.5}, {"stick_speed": 3.5, "speed_limit": 3.5}),
+    "NarrowCamera-v0": ({"camera": _view(30.0, 10.0)}, {"camera": _view(20.0, 5.0)}),
+    "LossyRadio-v0": (
+        {"radio": Radio(loss=0.2, delay=20)},
+        {"radio": Radio(loss=0.3, delay=40)},
+        {"radio": Radio(loss=0.3, delay=80)},
+    ),
+    "YawTrap-v0": ({"noise": Noise(gyro_bias=0.05)}, {"noise": Noise(gyro_bias=0.2)}),
+    "ScaleUp-v0": (
+        {"n_agents": 6},
+        {"n_agents": 12},
+        {"n_agents": 24},
+        {"n_agents": 48, "start": Start(spacing=1.2)},  # with 1.5 m most seeds find no start
+    ),
+    "Mix-v0": (
+        {
+            "stick_speed": 2.0,
+            "camera": dataclasses.replace(_view(45.0, 15.0), occlusion=True),
+            "radio": Radio(loss=0.2, delay=10),
+        },
+    ),
+}
+
+
+def scenario(base: str | Scenario = "LeaderFollow-v0", /, *, level: int = 1, **changes: Any) -> Scenario:
+    """A preset by id (with or without "fovconn/"), at a level of `LEVELS`, or a `Scenario`, with settings changed.
 
     One setting of a group goes by its dotted name: `scenario("LeaderFollow-v0", **{"camera.a_min": 0.5})`; a map may be
     the name of a file (`Map.from_file`).
-    Raises `ValueError` for an unknown id or setting, naming the nearest ones there are.
+    Raises `ValueError` for an unknown id or setting, naming the nearest ones there are, and for an unknown level.
     """
     if isinstance(base, str):
         name = base.removeprefix("fovconn/")
@@ -241,9 +321,11 @@ def scenario(base: str | Scenario = "LeaderFollow-v0", /, **changes: Any) -> Sce
             raise ValueError(
                 f"scenario must be one of {', '.join(PRESETS)}, got {base!r}: {_closest(name, tuple(PRESETS))}"
             )
-        base = PRESETS[name]
+        base = _at_level(PRESETS[name], level)
     elif not isinstance(base, Scenario):
         raise TypeError(f"scenario must be an id or a Scenario, got {base!r}")
+    elif level != 1:
+        raise ValueError(f"level must go with an id, got {level!r} with a Scenario: it has the settings of its level")
     file = changes.get("map")
     if isinstance(file, (str, Path)) and Path(file).suffix:  # another word is Scenario's to refuse
         changes["map"] = Map.from_file(file)
@@ -258,3 +340,12 @@ def scenario(base: str | Scenario = "LeaderFollow-v0", /, **changes: Any) -> Sce
         _check_group(group, whole)
         changes[group] = _replace(whole, part)
     return _replace(base, changes)
+
+
+def _at_level(preset: Scenario, level: int) -> Scenario:
+    changes = LEVELS.get(preset.name, ())
+    whole = isinstance(level, (int, np.integer)) and not isinstance(level, bool)
+    there = f"1 to {len(changes) + 1}" if changes else "1"
+    hint = f"levels of {preset.name}: {len(changes) + 1}"
+    rule(bool(whole and 1 <= level <= len(changes) + 1), "level", there, level, hint)
+    return preset if level == 1 else dataclasses.replace(preset, **changes[level - 2])

@@ -11,7 +11,7 @@ import math
 import numbers
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -137,9 +137,10 @@ class Radio:
     loss: float = 0.0  # share of messages lost, each by itself
     delay: int = 1  # rounds from writing to delivery, at least 1
     memory: float = 0.05  # s after which a neighbour that stays silent is dropped
+    liveness: float = 1.0  # s without word of a robot, passed on by others, after which it counts as gone
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="memory delay", share="loss")
+        check_numbers(self, above="memory delay liveness", share="loss")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,15 +166,23 @@ class YawEstimator:
 class PowerIteration:
     """lambda2 and v2 estimator: gains of the power iteration and of its PI consensus, all per message round."""
 
-    k1: float = 0.15  # removes the mean
-    k2: float = 0.04  # Laplacian step
-    k3: float = 0.4  # keeps the norm
-    g: float = 0.1  # consensus: pull to the own input
+    k1: float = 0.5  # removes the mean; a lambda2 above k1 / k2 is not found
+    k2: float = 0.08  # Laplacian step
+    k3: float = 0.55  # keeps the norm
+    g: float = 0.09  # consensus: pull to the own input
     kp: float = 1.0  # proportional
     ki: float = 0.8  # integral
+    lead: float = 9.0  # rounds by which the mean is looked ahead: its consensus lags by 1 / g
+    team: int = 8  # robots; a larger team of N uses k1, k2, k3 and g times team / N, lead times N / team
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="k1 k2 k3 g kp ki")
+        check_numbers(self, above="k1 k2 k3 g kp ki team", at_least="lead")
+
+    def scaled(self, n_agents: int) -> PowerIteration:
+        """The gains that a team of `n_agents` uses."""
+        share = min(1.0, self.team / n_agents)
+        rates = {name: share * getattr(self, name) for name in ("k1", "k2", "k3", "g")}
+        return dataclasses.replace(self, **rates, lead=self.lead / share, team=n_agents)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -306,3 +315,29 @@ class Reward:
         check_numbers(
             self, above="near", at_least="connectivity progress proximity effort success collision disconnected"
         )
+
+
+FAULTS = ("camera", "radio", "robot")  # the order is the number the kernels compare with
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """Something of a robot dies in the course of an episode."""
+
+    kind: Literal["camera", "radio", "robot"] = "robot"
+    robot: int | None = None  # counted from 0; None: a follower drawn for each episode, each fault another one
+    at: float | tuple[float, float] = (10.0, 40.0)  # s after the clock starts; low and high: drawn for each episode
+    lasts: float = math.inf  # s, then it works again
+
+    def __post_init__(self) -> None:
+        check_numbers(self, above="lasts", infinite="lasts")
+        rule(self.kind in FAULTS, "Fault.kind", "one of " + ", ".join(FAULTS), self.kind, "what dies")
+        if self.robot is not None:
+            whole = isinstance(self.robot, numbers.Integral) and not isinstance(self.robot, bool)
+            says = "a whole number from 0 on, or None"
+            rule(whole and self.robot >= 0, "Fault.robot", says, self.robot, "None draws a follower")
+        when = as_numbers("Fault.at", self.at)
+        shaped = isinstance(self.at, numbers.Real) or (isinstance(self.at, tuple) and when.shape == (2,))
+        fine = shaped and np.isfinite(when).all() and (when >= 0).all() and (np.diff(np.ravel(when)) >= 0).all()
+        hint = "seconds after the clock starts; of two numbers the first is the earliest"
+        rule(bool(fine), "Fault.at", "a time from 0 on, or two in order", self.at, hint)

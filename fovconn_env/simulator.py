@@ -17,7 +17,7 @@ from fovconn_env.graph import Graph, observed_graph
 from fovconn_env.kernel import step
 from fovconn_env.scenarios import Scenario
 from fovconn_env.settings import as_numbers, check_count, rule
-from fovconn_env.world import NO_ACTIONS, NO_MASK, Scout, Start, allocate, clear, place, scratch
+from fovconn_env.world import NO_ACTIONS, NO_MASK, Scout, Start, allocate, clear, draw_faults, place, scratch
 
 WORLDS_PER_SLICE = 16  # fewer are not worth the way to another thread
 
@@ -113,7 +113,10 @@ class Simulator:
         return observed_graph(self.state, slice(b, b + 1))
 
     def privileged(self) -> np.ndarray:
-        """(B, S) float32 for centralised critics, leader's yaw frame: `layout.STATE` a robot, then STATE_TEAM."""
+        """(B, S) float32 for centralised critics, leader's yaw frame: `layout.STATE` a robot, then STATE_TEAM.
+
+        A dead robot has a position and no heading: all else of it is 0.
+        """
         body, episode, lead = self.state.body, self.state.episode, self.scenario.leader_index
         origin = body[:, lead, None]
         c, s = origin["cos_yaw"], origin["sin_yaw"]
@@ -122,7 +125,7 @@ class Simulator:
             return c * dx + s * dy, c * dy - s * dx
 
         x, y = turn(body["x"] - origin["x"], body["y"] - origin["y"])
-        cos_yaw, sin_yaw = turn(body["cos_yaw"], body["sin_yaw"])
+        cos_yaw, sin_yaw = (heading * body["alive"] for heading in turn(body["cos_yaw"], body["sin_yaw"]))
         motion = [body[column.name] for column in layout.STATE[5:-1]]
         robots = np.stack([x, y, body["z"] - origin["z"], cos_yaw, sin_yaw, *motion, self.state.fiedler], axis=-1)
         here = np.stack([origin[name][:, 0] for name in "xyz"], axis=-1)
@@ -165,7 +168,8 @@ class Simulator:
         for b in np.flatnonzero(chosen).tolist():
             rng = self._generator(b) if seeds is None else np.random.default_rng(seeds[b])
             start = self._scout.draw(rng, poses)
-            drawn[b] = rng, start, int(rng.integers(2**63))
+            key = int(rng.integers(2**63))
+            drawn[b] = rng, start._replace(faults=draw_faults(self.scenario, rng)), key
         self._make_room(drawn)
         for b, (rng, start, key) in drawn.items():
             self._rngs[b] = rng
@@ -232,6 +236,7 @@ class Simulator:
         )
         self.world.waypoint[b, : len(start.waypoints)] = start.waypoints
         self.world.n_waypoints[b] = len(start.waypoints)
+        self.world.fault[b] = start.faults
         place(self.state.body[b], start.poses)
         self.state.episode["key"][b] = key
         self.state.episode["max_steps"][b] = self.max_cycles

@@ -5,17 +5,19 @@ World frame, metres and radians. Draws are bounded: a scenario that leaves no ro
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import NamedTuple
 
 import numpy as np
 
 from fovconn_env import layout
+from fovconn_env.corridor import Corridor
 from fovconn_env.kernel import step, types
 from fovconn_env.kernel.spectrum import N_VECTORS
 from fovconn_env.maps import Forest, Map
 from fovconn_env.scenarios import Scenario
-from fovconn_env.settings import as_numbers
+from fovconn_env.settings import FAULTS, as_numbers
 
 MAX_TRIES = 2000  # starts drawn before giving up
 MAX_MAPS = 20  # random maps drawn before giving up
@@ -29,6 +31,7 @@ class Start(NamedTuple):
     waypoints: np.ndarray  # (W, 3), W = 0 without a course
     pieces: np.ndarray  # (P,) PIECE
     vertices: np.ndarray  # (V, 2)
+    faults: np.ndarray = np.zeros(0, types.FAULT)  # (F,)
 
 
 def allocate(scenario: Scenario, n_worlds: int, n_pieces: int, n_vertices: int) -> tuple[types.World, types.State]:
@@ -41,6 +44,7 @@ def allocate(scenario: Scenario, n_worlds: int, n_pieces: int, n_vertices: int) 
         vertex=np.zeros((b, n_vertices, 2)),
         waypoint=np.zeros((b, max(scenario.course.legs, 1), 3)),
         n_waypoints=np.zeros(b, np.int64),
+        fault=np.zeros((b, len(scenario.faults)), types.FAULT),
         low=low,
         high=high,
     )
@@ -57,6 +61,8 @@ def allocate(scenario: Scenario, n_worlds: int, n_pieces: int, n_vertices: int) 
         inbox=np.zeros((b, n, n), types.INBOX),
         track=np.zeros((b, n, n), types.TRACK),
         belief=np.zeros((b, n), types.BELIEF),
+        beat=np.zeros((b, n, n), np.int64),
+        beat_air=np.zeros((b, scenario.radio.delay, n, n), np.int64),
         table=np.zeros((b, n, flooded, entries)),
         air=np.zeros((b, scenario.radio.delay, n, flooded, entries)),
         mode=np.zeros((b, n, flooded)),
@@ -78,6 +84,8 @@ def scratch(n_agents: int) -> types.Scratch:
     return types.Scratch(
         laplacian=np.empty((n, n)),
         spectrum=np.empty((n + N_VECTORS, n)),
+        order=np.arange(n, dtype=np.uint32),
+        near=np.empty((n * n, 2), np.uint32),
         who=np.empty(n * n, np.uint32),
         whom=np.empty(n * n, np.uint32),
         first=np.empty(n + 1, np.int64),
@@ -110,12 +118,17 @@ class Scout:
 
         Raises `ValueError` if no start is found, or if given poses overlap or stand in an obstacle.
         """
-        forest = isinstance(self.scenario.map, Forest)
-        for _ in range(MAX_MAPS if forest else 1):
+        drawn = isinstance(self.scenario.map, (Forest, Corridor))
+        for _ in range(MAX_MAPS if drawn else 1):
             start = self._draw_once(rng, poses)
             if start is not None:
                 return start
         s = self.scenario.start
+        if poses is not None:
+            raise ValueError(
+                f"Course must leave {s.clearance:g} m for a wall between poses and second way point, found no room in "
+                f"{MAX_MAPS} draws: lengthen Course.leg, lower Start.clearance, or give poses closer together"
+            )
         raise ValueError(
             f"Start must allow lambda2 in ({s.lambda2_low:g}, {s.lambda2_high:g}), spacing {s.spacing:g} m and "
             f"clearance {s.clearance:g} m, found no start in {MAX_TRIES} draws of {self.scenario.n_agents} robots: "
@@ -123,18 +136,20 @@ class Scout:
         )
 
     def _draw_once(self, rng: np.random.Generator, poses: np.ndarray | None) -> Start | None:
-        given, scenario = poses is not None, self.scenario
-        if isinstance(scenario.map, Forest) or scenario.map is None:
+        scenario = self.scenario
+        if not isinstance(scenario.map, Map):
             team = check_poses(poses, scenario) if poses is not None else self._poses(rng, None)
             if team is None:
                 return None
             waypoints = self._course(rng, team)
-            obstacles = self._forest(rng, team, waypoints)
-            if obstacles is not None and given:
+            if scenario.map is None:
+                return self._start(team, waypoints, None)
+            obstacles = self._generated(scenario.map, rng, team, waypoints)
+            if obstacles is not None and poses is not None:
                 check_room(team, obstacles, scenario)
-            if obstacles is None or given or self._fits(team, obstacles):
-                return self._start(team, waypoints, obstacles)
-            return None
+            if obstacles is None or (poses is None and not self._fits(team, obstacles)):
+                return None
+            return self._start(team, waypoints, obstacles)
         obstacles = scenario.map
         team = check_poses(poses, scenario) if poses is not None else self._poses(rng, obstacles)
         if team is None:
@@ -199,17 +214,38 @@ class Scout:
             heading += rng.choice([-1.0, 1.0]) * rng.uniform(course.turn_low, course.turn_high)
         return np.array(points)
 
-    def _forest(self, rng: np.random.Generator, poses: np.ndarray, waypoints: np.ndarray) -> Map | None:
-        forest = self.scenario.map
-        if not isinstance(forest, Forest):
-            return None
+    def _generated(
+        self, kind: Forest | Corridor, rng: np.random.Generator, poses: np.ndarray, waypoints: np.ndarray
+    ) -> Map | None:
+        """A map drawn for this team and course, None where they leave no room for one."""
+        clearance = self.scenario.start.clearance
+        if isinstance(kind, Corridor):
+            return kind.generate(rng, poses[:, :3], waypoints, clearance)
         places = np.vstack([poses[:, :3], waypoints])
         low, high = places[:, :2].min(0) - MARGIN, places[:, :2].max(0) + MARGIN
-        return forest.generate(rng, (low[0], high[0], low[1], high[1]), places, self.scenario.start.clearance)
+        return kind.generate(rng, (low[0], high[0], low[1], high[1]), places, clearance)
 
     def _start(self, poses: np.ndarray, waypoints: np.ndarray, obstacles: Map | None) -> Start:
         pieces, vertices = obstacles.flatten() if obstacles is not None else NO_OBSTACLES
         return Start(poses, waypoints, pieces, vertices)
+
+
+def draw_faults(scenario: Scenario, rng: np.random.Generator) -> np.ndarray:
+    """A scenario's faults in one episode, (F,) FAULT, nothing left open; without any, nothing is drawn.
+
+    Robots that are drawn are neither the leader nor named by another fault, nor twice the same, while there are others.
+    """
+    faults = np.zeros(len(scenario.faults), types.FAULT)
+    if any(fault.robot is None for fault in scenario.faults):
+        spared = {fault.robot for fault in scenario.faults}
+        lead = {scenario.leader_index} if scenario.leader != "none" else set()
+        followers = [i for i in range(scenario.n_agents) if i not in lead]
+        drawn = itertools.cycle(rng.permutation([i for i in followers if i not in spared] or followers).tolist())
+    for record, fault in zip(faults, scenario.faults, strict=True):
+        at = rng.uniform(*fault.at) if isinstance(fault.at, tuple) else fault.at
+        record["robot"] = next(drawn) if fault.robot is None else fault.robot
+        record["kind"], record["at"], record["until"] = FAULTS.index(fault.kind), at, at + fault.lasts
+    return faults
 
 
 NO_OBSTACLES = (np.zeros(0, types.PIECE), np.zeros((0, 2)))

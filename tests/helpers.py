@@ -97,6 +97,7 @@ def snapshot(simulator: Simulator, b: int) -> dict[str, bytes]:
     corners = int((piece["first"] + piece["count"]).max(initial=0))
     parts |= {"piece": contents(piece), "vertex": contents(world.vertex[b, :corners])}
     parts |= {"waypoint": contents(world.waypoint[b]), "n_waypoints": contents(world.n_waypoints[b])}
+    parts |= {"fault": contents(world.fault[b])}
     return {f"{part}.{name}": data for part, fields in parts.items() for name, data in fields.items()}
 
 

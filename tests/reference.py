@@ -315,19 +315,29 @@ class PowerIteration:
     def __init__(self, x):
         self.x, self.y = np.array(x), np.array([x, np.square(x), np.zeros_like(x)])  # y: means of x, x^2, x (L x)
         self.q, self.degree = np.zeros((3, len(x))), np.zeros(len(x))
+        self.heard = np.zeros((8, len(x), len(x)))  # [:, i, j]: what i last heard of j's x, y, q and degree
 
-    def round(self, A, links, power):
-        """One message round. A (N, N) weights, links (N, N) bool; all gains are those of a round."""
-        W = np.where(links, 1.0 / (1.0 + np.maximum.outer(self.degree, self.degree)), 0.0)
-        L, M, x = laplacian(np.where(links, A, 0.0)), laplacian(W), self.x
-        self.degree = links.sum(axis=1).astype(float)
-        alpha = np.array([x, x * x, x * (L @ x)])
-        y, q = self.y, self.q
-        self.y = y + power.g * (alpha - y) - power.kp * y @ M + power.ki * q @ M
-        self.q = q - power.ki * y @ M
+    def round(self, A, arrived, held, power):
+        """One message round. A (N, N) weights; [i, j] of the others (N, N), bool: whether i hears j in this round, and
+        whether what it last heard still counts. All gains are those of a round, for this size of a team.
+        """
+        x, y, q, n = self.x, self.y, self.q, len(self.x)
+        said = np.array([x, *y, *q, self.degree])
+        self.heard = np.where(arrived, said[:, None, :], self.heard)
+        apart = said[:, :, None] - self.heard
+        W = np.where(held, 1.0 / (1.0 + np.maximum(self.degree[:, None], self.heard[7])), 0.0)
+        A = np.where(held, A, 0.0)
+        Lx, Mq = (A * apart[0]).sum(-1), (W * apart[4:7]).sum(-1)
+        My = (np.where(arrived, W, 0.0) * apart[1:4]).sum(-1)
+        self.degree = held.sum(axis=1).astype(float)
+        alpha = np.array([x, x * x, x * Lx])
+        self.y = y + power.g * (alpha - y) - power.kp * My + power.ki * Mq
+        self.q = q - power.ki * My
+        mean = self.y[0] + power.lead * (self.y[0] - y[0])
         excess = self.y[1] - 1.0
-        step = (x - (power.k1 * self.y[0] + power.k2 * L @ x)) / (1.0 + power.k3 * np.maximum(excess, 0.0))
-        self.x = step - power.k3 * np.minimum(excess, 0.0) * x
+        step = (x - (power.k1 * mean + power.k2 * Lx)) / (1.0 + power.k3 * np.maximum(excess, 0.0))
+        push = power.k2 * np.maximum(self.lambda2_hat - n / (n - 1) * A.sum(axis=1), 0.0)  # docs/decisions.md
+        self.x = step - power.k3 * np.minimum(excess, 0.0) * x + np.copysign(push, x - mean)
 
     @property
     def size(self):

@@ -41,6 +41,8 @@ class Team:
         self.last: dict = {}  # (i, j): the Post in which i last heard of j
         self.age = np.full((self.n, self.n), scenario.radio.memory)
         self.weight = np.zeros((self.n, self.n))  # agreed A_ij
+        self.beats = np.zeros((self.n, self.n))  # [knows, of]: last tick known of each
+        self.beat_air = None
         self.distance = np.zeros((self.n, self.n))
 
     @property
@@ -59,6 +61,9 @@ class Team:
         self.n_ticks += 1
         for k in range(self.scenario.clock.rounds):
             self.deliver()
+            if k == 0:
+                np.fill_diagonal(self.beats, self.n_ticks)
+                self.beat_air = self.beats.copy()
             if self.flooding and k == 0:
                 self.power.write(self.weight, self.n_ticks)
             self.write()
@@ -93,8 +98,12 @@ class Team:
             for i, j in zip(*np.nonzero(links), strict=True):
                 self.last[i, j] = self.post
         self.weight = A
+        if self.beat_air is not None:
+            for i, j in zip(*np.nonzero(links), strict=True):
+                self.beats[i] = np.maximum(self.beats[i], self.beat_air[j])
+            self.beat_air = None
         if not self.flooding:
-            self.power.round(A, links, scenario.power)
+            self.power.round(A, links, self.age < scenario.radio.memory, scenario.power.scaled(self.n))
         elif self.power.air is not None:
             self.power.deliver(links)
 
@@ -142,6 +151,8 @@ class Team:
         own = dict(
             zip(("vx", "vy", "vz", "yaw_rate"), self.motion[i], strict=True), roll=0.0, pitch=0.0, is_leader=leader
         )
+        missed = (self.n_ticks - self.beats[i]) * self.scenario.clock.tick
+        own |= {"team_share": np.mean(missed < self.scenario.radio.liveness + 1e-6)}
         own |= {"lambda2_hat": self.power.lambda2_hat[i], "v2_hat": self.power.v2_hat[i]}
         own |= {f"stick_{a}": leader * s for a, s in zip("xyz", stick, strict=True)}
         near = sorted((j for j in range(self.n) if j != i and self.present(i, j)), key=lambda j: self.distance[i, j])

@@ -14,7 +14,7 @@ import pytest
 from fovconn_env import simulator as simulator_module
 from fovconn_env.kernel import step
 from fovconn_env.scenarios import PRESETS, scenario
-from fovconn_env.settings import Airframe, Camera, Course, Noise, Radio
+from fovconn_env.settings import Airframe, Camera, Course, Fault, Noise, Radio
 from fovconn_env.simulator import Simulator
 from tests.helpers import differing, digest, recorded_actions, snapshot
 
@@ -25,6 +25,7 @@ ROUGH = {
     "radio": Radio(loss=0.1),
     "airframe": Airframe(rotor_noise=0.02, force_noise=0.3),
     "dynamics": "quadrotor",
+    "faults": tuple(Fault(kind=kind, at=(0.2, 2.0), lasts=0.5) for kind in ("camera", "radio", "robot")),
 }
 CASES = {**{name: (name, {}) for name in PRESETS}, "rough": ("LeaderObstacles-v0", ROUGH)}
 CASES["flooding"] = "LeaderFollow-v0", {"lambda2": "flooding", "radio": Radio(loss=0.1, delay=3)}
@@ -36,6 +37,11 @@ def build(case, n_worlds=1, **more):
     return Simulator(scenario(name, warmup=0.5, patience=2.0, course=course, **changes), n_worlds, **more)
 
 
+def actions_for(case, n_steps=STEPS):
+    name, changes = CASES[case]
+    return recorded_actions(n_steps, scenario(name, **changes).n_agents, n_worlds=WORLDS)
+
+
 @pytest.fixture
 def tiny_slices(monkeypatch):
     """Threads even for a few worlds."""
@@ -44,7 +50,7 @@ def tiny_slices(monkeypatch):
 
 @pytest.mark.parametrize("case", CASES)
 def test_alone_and_in_a_batch(case):
-    actions = recorded_actions(STEPS, 6, n_worlds=WORLDS)
+    actions = actions_for(case)
     batch = build(case, WORLDS)
     batch.reset(10)
     alone = [build(case) for _ in range(WORLDS)]
@@ -62,7 +68,7 @@ def test_alone_and_in_a_batch(case):
 
 @pytest.mark.parametrize("case", CASES)
 def test_any_number_of_threads(case, tiny_slices):
-    actions, found = recorded_actions(STEPS, 6, n_worlds=WORLDS), set()
+    actions, found = actions_for(case), set()
     for n_threads in (1, 2, 3, WORLDS):
         batch = build(case, WORLDS, n_threads=n_threads)
         assert batch._n_threads == n_threads
@@ -76,7 +82,7 @@ def test_any_number_of_threads(case, tiny_slices):
 @pytest.mark.parametrize("case", CASES)
 def test_a_masked_reset_leaves_the_others_alone(case, tiny_slices):
     """Worlds 1 and 4 begin again half-way: they are as new, the others never notice."""
-    actions, mask = recorded_actions(STEPS, 6, n_worlds=WORLDS), np.isin(np.arange(WORLDS), (1, 4))
+    actions, mask = actions_for(case), np.isin(np.arange(WORLDS), (1, 4))
     plain, masked, fresh = build(case, WORLDS), build(case, WORLDS, n_threads=2), build(case, WORLDS)
     plain.reset(30)
     masked.reset(30)
@@ -214,7 +220,7 @@ def test_a_failed_reset_changes_nothing():
 )
 @pytest.mark.parametrize("case", CASES)
 def test_copies_go_on_identically(case, clone, tiny_slices):
-    sim, actions = build(case, WORLDS, n_threads=2), recorded_actions(30, 6, n_worlds=WORLDS)
+    sim, actions = build(case, WORLDS, n_threads=2), actions_for(case, 30)
     sim.reset(40)
     for action in actions[:10]:
         sim.step(action)

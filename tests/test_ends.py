@@ -402,15 +402,15 @@ def test_messages_take_as_many_rounds_as_told(delay, rounds):
 
 
 def test_bytes_are_counted():
-    """A message to every linked robot in every round: 23 numbers of 4 bytes, 10 rounds a step."""
+    """A message to every linked robot in every round: 23 numbers of 4 bytes; in a tick a byte a robot more."""
     assert layout.BYTES_PER_MESSAGE == 4 * len(layout.MESSAGE)
     poses = [[0, 0, 0, 0], [4, 0, 0, math.pi], [4, 30, 0, 0]]
     simulator = begin(poses)
     still(simulator)
-    assert simulator.infos["bytes_sent"][0].tolist() == [10 * layout.BYTES_PER_MESSAGE] * 2 + [0]
+    assert simulator.infos["bytes_sent"][0].tolist() == [10 * layout.BYTES_PER_MESSAGE + 5 * 3] * 2 + [0]
     simulator = begin(CROWD, link="radio", clock=Clock(ticks=3, rounds=4))
     still(simulator)
-    assert simulator.infos["bytes_sent"][0].tolist() == [5 * 12 * layout.BYTES_PER_MESSAGE] * 6
+    assert simulator.infos["bytes_sent"][0].tolist() == [5 * (12 * layout.BYTES_PER_MESSAGE + 3 * 6)] * 6
 
 
 @pytest.mark.parametrize("link", ["sight", "radio"])

@@ -188,10 +188,10 @@ def test_a_team_that_comes_together_again_is_whole_again():
 # --------------------------------------------------------------------------------------------------- what it costs
 @pytest.mark.parametrize("radio", [Radio(), Radio(delay=3), Radio(loss=0.2, memory=0.5)])
 def test_bytes_count_a_table_a_tick(radio):
-    """5 x 6 numbers of 4 bytes more for each robot in touch, once a tick."""
+    """5 x 6 numbers of 4 bytes, and 5 bytes of beats, more for each robot in touch, once a tick."""
     simulator = in_a_row(radio=radio, clock=Clock(ticks=5, rounds=3))
     still(simulator)
-    one = 15 * layout.BYTES_PER_MESSAGE + 5 * 4 * 5 * 6
+    one = 15 * layout.BYTES_PER_MESSAGE + 5 * (4 * 5 * 6 + 5)
     assert simulator.infos["bytes_sent"][0].tolist() == [one, 2 * one, 2 * one, 2 * one, one]
 
 

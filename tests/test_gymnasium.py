@@ -137,7 +137,7 @@ def test_the_batch_is_what_gymnasium_makes_of_single_worlds(name, mode):
                     np.testing.assert_array_equal(numbers[ended], wanted[-1][key][inner][ended])
             else:
                 np.testing.assert_array_equal(values, wanted[-1][key])
-        actions = rng.uniform(-1, 1, (3, 6, 4)).astype(np.float32)
+        actions = rng.uniform(-1, 1, (3, PRESETS[name].n_agents, 4)).astype(np.float32)
         found, wanted = ours.step(actions), theirs.step(actions)
 
 

@@ -177,7 +177,7 @@ def test_unknown_keywords_and_ids_are_errors_that_help(build):
 def test_spaces(name, flat):
     env = parallel_env(name, flat=flat)
     assert list(env.observation_spaces) == list(env.action_spaces) == env.possible_agents
-    assert env.possible_agents == [f"uav_{i}" for i in range(6)]
+    assert env.possible_agents == [f"uav_{i}" for i in range(PRESETS[name].n_agents)]
     for agent in env.possible_agents:
         assert env.observation_space(agent) is env.observation_space(agent) is env.observation_spaces[agent]
         assert env.action_space(agent) is env.action_space(agent) is env.action_spaces[agent]
@@ -192,7 +192,8 @@ def test_spaces(name, flat):
             assert np.isfinite(leaf.low).all()
             assert np.isfinite(leaf.high).all()
             assert (leaf.low < leaf.high).all()
-    assert len({id(space) for space in env.action_spaces.values()}) == 6  # each is seeded by itself
+    ids = {id(space) for space in env.action_spaces.values()}
+    assert len(ids) == len(env.possible_agents)  # each is seeded by itself
     assert env.metadata["name"] == "fovconn_v0"
     assert env.metadata["is_parallelizable"]
     assert not hasattr(env, "num_envs")
@@ -598,7 +599,8 @@ def test_state_holds_what_its_columns_say(name):
     goal = np.zeros(3)
     if env.scenario.leader == "waypoints":
         goal = ref.Rz(lead[3]).T @ (env.simulator.world.waypoint[0, 0] - lead[:3])
-        np.testing.assert_allclose([team[f"stick_{k}"] for k in "xyz"], goal / np.linalg.norm(goal), atol=1e-5)
+        stick = env.scenario.stick_speed * goal / np.linalg.norm(goal)
+        np.testing.assert_allclose([team[f"stick_{k}"] for k in "xyz"], stick, atol=1e-5)
     np.testing.assert_allclose([team[f"goal_{k}"] for k in "xyz"], goal, atol=1e-5)
 
 

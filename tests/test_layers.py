@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from fovconn_env import layout, settings
-from fovconn_env.kernel import judge, lambda2_estimator, pilot, step, types, weights, yaw_estimator
+from fovconn_env.corridor import Corridor
+from fovconn_env.kernel import faults, judge, lambda2_estimator, pilot, step, types, weights, yaw_estimator
 from fovconn_env.kernel.camera import BY_RANGE, BY_SIGHT
 from fovconn_env.maps import Forest, Map
 from fovconn_env.scenarios import PRESETS, SWITCHES, Scenario, scenario
@@ -35,6 +36,7 @@ LAYERS = [
     ["fovconn_env.outlines", "fovconn_env.settings"],
     ["fovconn_env.map_files", "fovconn_env.svg"],
     ["fovconn_env.maps"],
+    ["fovconn_env.corridor"],
     ["fovconn_env.scenarios"],
     ["fovconn_env.world"],
     ["fovconn_env.graph", "fovconn_env.simulator"],
@@ -164,12 +166,19 @@ def test_switches_are_numbered_as_the_kernels_count():
             assert scenario(**{name: word}).params()[name][0] == number
 
 
+def test_kinds_of_faults_are_numbered_as_the_kernels_count():
+    numbers = {"camera": faults.CAMERA, "radio": faults.RADIO, "robot": faults.ROBOT}
+    assert numbers == {kind: number for number, kind in enumerate(settings.FAULTS)}
+    assert typing.get_args(typing.get_type_hints(settings.Fault)["kind"]) == settings.FAULTS
+
+
 def test_names_of_lost_links_are_numbered_as_the_judge_counts():
-    names = dict(zip(layout.LOST_LINK, range(5), strict=True))
+    names = dict(zip(layout.LOST_LINK, range(6), strict=True))
     assert names["range"] == judge.RANGE
     assert names["own field of view"] == judge.OWN_VIEW
     assert names["its field of view"] == judge.ITS_VIEW
     assert names["occlusion"] == judge.OCCLUSION
+    assert names["fault"] == judge.FAULT
 
 
 GROUPS = {
@@ -180,9 +189,10 @@ GROUPS = {
 DERIVED = {"round_time", "travel_time", "rest_ticks", "step_time", "axis_x", "axis_y", "axis_z", *SWITCHES}
 # Settings that kernels do not read: they shape the arrays, the start, or the array a kernel is handed.
 AT_RESET = {
-    "": {"name", "n_agents", "max_neighbors", "max_ranges", "max_cycles", "warmup", "map"},
+    "": {"name", "n_agents", "max_neighbors", "max_ranges", "max_cycles", "warmup", "map", "faults"},
     "camera": {"optical_axis"},  # as axis_x, axis_y, axis_z
     "radio": {"delay"},  # slots of the mail, and travel_time
+    "power": {"team"},  # in the gains, where N is larger
     "start": {"box", "spacing", "clearance", "lambda2_low", "lambda2_high"},
     "course": {"legs", "leg", "turn_low", "turn_high", "climb"},
 }
@@ -256,7 +266,7 @@ def test_presets_are_named_and_build():
     for name, preset in PRESETS.items():
         assert preset.name == name
         assert scenario(f"fovconn/{name}") is not None
-        assert isinstance(preset.map, (Map, Forest, type(None)))
+        assert isinstance(preset.map, (Map, Forest, Corridor, type(None)))
 
 
 @pytest.mark.parametrize("name", [name for name in FILES.values() if name.split(".")[0] in PACKAGES[:3]])

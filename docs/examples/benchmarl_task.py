@@ -23,10 +23,18 @@ from torchrl.envs import EnvBase, PettingZooWrapper
 import fovconn_env
 
 SCENARIOS = {
+    "BLACKOUT": "Blackout-v0",
     "LEADER_FOLLOW": "LeaderFollow-v0",
     "TILT_DYNAMICS": "TiltDynamics-v0",
     "REGROUP": "Regroup-v0",
     "LEADER_OBSTACLES": "LeaderObstacles-v0",
+    "CORRIDOR": "Corridor-v0",
+    "LEADER_AGGRESSIVE": "LeaderAggressive-v0",
+    "NARROW_CAMERA": "NarrowCamera-v0",
+    "LOSSY_RADIO": "LossyRadio-v0",
+    "YAW_TRAP": "YawTrap-v0",
+    "SCALE_UP": "ScaleUp-v0",
+    "MIX": "Mix-v0",
 }
 
 
@@ -104,6 +112,13 @@ class Fovconn(Task):
     TILT_DYNAMICS = None
     REGROUP = None
     LEADER_OBSTACLES = None
+    CORRIDOR = None
+    LEADER_AGGRESSIVE = None
+    NARROW_CAMERA = None
+    LOSSY_RADIO = None
+    YAW_TRAP = None
+    SCALE_UP = None
+    MIX = None
 
     @staticmethod
     def associated_class() -> type[TaskClass]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 
+from fovconn_env.kernel.faults import count_living
 from fovconn_env.kernel.jit import kernel
 from fovconn_env.kernel.pilot import NOBODY
 from fovconn_env.kernel.spectrum import fiedler
 from fovconn_env.kernel.weights import range_weight, sight_weight
 
-RANGE, OWN_VIEW, ITS_VIEW, OCCLUSION = range(1, 5)  # layout.LOST_LINK
+RANGE, OWN_VIEW, ITS_VIEW, OCCLUSION, FAULT = range(1, 6)  # layout.LOST_LINK
 
 
 @kernel
@@ -36,15 +37,20 @@ def weigh(pairs, infos, p):
 
 @kernel
 def lost_link(pair, view, p):
-    """Why a pair has no link any more: RANGE, OCCLUSION, or else `view`, of whom it was that looked away."""
+    """Why a pair has no link any more: RANGE, FAULT, OCCLUSION, or else `view`, of whom it was that looked away."""
     if not p.d_min < pair.distance < p.d_max:
         return RANGE
+    if pair.broken:
+        return FAULT
     return OCCLUSION if pair.blocked else view
 
 
 @kernel
-def connectivity(pairs, v2, laplacian, scratch):
-    """True lambda2 of the weights `weigh` has set; v2 (N,) gets the unit eigenvector. The rest is scratch."""
+def connectivity(bodies, pairs, v2, laplacian, scratch):
+    """True lambda2 of the living robots by the weights `weigh` has set; v2 (N,) gets the unit eigenvector.
+
+    v2 is 0 for the dead, lambda2 of fewer than two is 0. The rest is scratch.
+    """
     n = pairs.shape[0]
     for i in range(n):
         degree = 0.0
@@ -53,7 +59,22 @@ def connectivity(pairs, v2, laplacian, scratch):
                 degree += pairs[i, j].weight
                 laplacian[i, j] = -pairs[i, j].weight
         laplacian[i, i] = degree
-    return fiedler(laplacian, v2, scratch)
+    living = count_living(bodies)
+    if living < n:
+        bury(bodies, v2, laplacian)
+    lambda2 = fiedler(laplacian, v2, scratch) if living > 1 else 0.0
+    if living < n:
+        bury(bodies, v2, laplacian)  # rounding errors in v2
+    return lambda2
+
+
+@kernel
+def bury(bodies, v2, laplacian):
+    """Leave the dead out of a graph, as `fiedler` asks for it; who is left alone has no part in v2."""
+    alone = count_living(bodies) < 2
+    for i in range(v2.shape[0]):
+        if alone or not bodies[i].alive:
+            laplacian[i, i], v2[i] = -1.0, 0.0
 
 
 @kernel
@@ -87,10 +108,11 @@ def reward(bodies, infos, rewards, actions, episode, stick_x, stick_y, stick_z, 
         for k in range(4):
             share = min(max(actions[i, k], -1.0), 1.0)
             effort += share * share
+        works = 1.0 if bodies[i].alive else 0.0  # a dead robot neither acts nor chose where it is
         info.reward_connectivity = p.reward_connectivity * dt * min(max(margin, 0.0), 1.0)
         info.reward_progress = p.reward_progress * dt * along / (p.stick_speed * p.stick_speed) if pushed > 0.0 else 0.0
-        info.reward_proximity = -p.reward_proximity * dt * crowding(bodies[i], p)
-        info.reward_effort = -p.reward_effort * dt * effort
+        info.reward_proximity = -p.reward_proximity * dt * crowding(bodies[i], p) * works
+        info.reward_effort = -p.reward_effort * dt * effort * works
         info.reward_success = p.reward_success if episode.success else 0.0
         info.reward_collision = -p.reward_collision if episode.collision else 0.0
         info.reward_disconnected = -p.reward_disconnected if episode.disconnected else 0.0
@@ -111,7 +133,8 @@ def tell(bodies, tracks, beliefs, infos, whom, first, episode, p):
     n = bodies.shape[0]
     for i in range(n):
         info = infos[i]
-        info.lambda2, info.lambda2_hat = episode.lambda2, beliefs[i].lambda2_hat
+        info.lambda2, info.lambda2_hat = episode.lambda2, beliefs[i].lambda2_hat if bodies[i].alive else 0.0
+        info.alive = 1.0 if bodies[i].alive else 0.0
         info.connected = 1.0 if episode.lambda2 > p.lambda2_min else 0.0
         info.n_edges = episode.n_edges
         info.min_distance, info.clearance = bodies[i].nearest, min(bodies[i].clearance, 1e3)

@@ -36,6 +36,7 @@ def stand(body, p):
     body.roll = body.pitch = 0.0
     body.ox, body.oy, body.oz = p.axis_x, p.axis_y, p.axis_z
     body.command_vx = body.command_vy = body.command_vz = body.command_yaw_rate = 0.0
+    body.turn_cos, body.turn_sin = 1.0, 0.0
 
 
 @kernel

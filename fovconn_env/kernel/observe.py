@@ -9,11 +9,12 @@ from fovconn_env.kernel.lambda2_estimator import FLOODING
 
 
 @kernel
-def observe_self(row, own, belief, is_leader, stick_x, stick_y, stick_z):
+def observe_self(row, own, belief, share, is_leader, stick_x, stick_y, stick_z):
     """Fill robot i's SELF row; the stick (m/s) reaches the leader alone."""
     row.vx, row.vy, row.vz, row.yaw_rate = own.vx, own.vy, own.vz, own.yaw_rate
     row.roll, row.pitch = own.roll, own.pitch
     row.lambda2_hat, row.v2_hat = belief.lambda2_hat, belief.v2_hat
+    row.team_share = share
     row.is_leader = 1.0 if is_leader else 0.0
     row.stick_x = row.stick_y = row.stick_z = 0.0
     if is_leader:

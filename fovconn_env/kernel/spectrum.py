@@ -22,18 +22,23 @@ def fiedler(laplacian, v2, scratch):
     """lambda2 of a graph from its Laplacian (N, N), symmetric; writes its unit eigenvector to v2 (N,).
 
     v2 keeps the sign that agrees with what it held before; a fresh one (all zero) gets a positive largest entry.
+    A row without entries whose degree is negative is no vertex, and its entry in v2 is none. At least two rows are.
     Destroys the Laplacian. scratch: (N + N_VECTORS, N).
     """
     a, n = laplacian, v2.shape[0]
     factor, vectors = scratch[:n], scratch[n:]
     y = vectors[4]
     # The vector of ones has eigenvalue 0: raise it above all others (at most 2 max degree), so lambda2 is the least.
-    lift = 1.0
+    lift, others = 1.0, 0
     for i in range(n):
         lift = max(lift, 2.0 * a[i, i] + 1.0)
-    for i in range(n):
-        for j in range(n):
-            a[i, j] += lift / n
+        others += a[i, i] < 0.0
+    if others > 0:
+        raise_vertices(a, lift, lift / (n - others))
+    else:
+        for i in range(n):
+            for j in range(n):
+                a[i, j] += lift / n
     lambda2, square = math.nan, 0.0
     for i in range(n):
         y[i] = v2[i]
@@ -51,6 +56,19 @@ def fiedler(laplacian, v2, scratch):
     for i in range(n):
         v2[i] = sign * y[i]
     return max(lambda2, 0.0)
+
+
+@kernel
+def raise_vertices(a, lift, share):
+    """Add `share` between all vertices of a graph, and set the diagonal of what is no vertex to `lift`."""
+    n = a.shape[0]
+    for i in range(n):
+        for j in range(n):
+            if a[i, i] >= 0.0 and a[j, j] >= 0.0:
+                a[i, j] += share
+    for i in range(n):
+        if a[i, i] < 0.0:
+            a[i, i] = lift
 
 
 @kernel

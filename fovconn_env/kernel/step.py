@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from fovconn_env import layout
 from fovconn_env.kernel import lambda2_estimator, random, yaw_estimator
-from fovconn_env.kernel.camera import feel, look, muster, see
+from fovconn_env.kernel.camera import feel, list_near, look, muster, see
+from fovconn_env.kernel.faults import cut, repair, wear
 from fovconn_env.kernel.flooding import assemble, enter, merge, put, solve
 from fovconn_env.kernel.geometry import clearance
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.judge import connectivity, end, reward, tell, weigh
 from fovconn_env.kernel.kinematic import command, glide, stand, steady
 from fovconn_env.kernel.lambda2_estimator import agree, awaken, conclude, know, power_round
+from fovconn_env.kernel.liveness import hear_beats, share_there, tell_beats
 from fovconn_env.kernel.observe import clip, observe_neighbors, observe_self
 from fovconn_env.kernel.pilot import NOBODY, steer
 from fovconn_env.kernel.quadrotor import fly, hover
@@ -24,7 +26,7 @@ from fovconn_env.kernel.yaw_estimator import attend, estimate_yaw, reckon
 
 ADVANCE, BEGIN = range(2)
 KINEMATIC, QUADROTOR = range(2)  # scenarios.SWITCHES["dynamics"]
-bytes_per_table = kernel(layout.bytes_per_table)
+bytes_per_table, bytes_per_beats = kernel(layout.bytes_per_table), kernel(layout.bytes_per_beats)
 
 
 @entry
@@ -36,7 +38,7 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
     for both, because each entry compiles everything below it.
     """
     p = params[0]
-    n, who, whom, first_of = state.body.shape[1], scratch.who, scratch.whom, scratch.first
+    n, order, who, whom, first_of = state.body.shape[1], scratch.order, scratch.who, scratch.whom, scratch.first
     for b in range(first, last):
         episode = state.episode[b]
         if (task == BEGIN and not mask[b]) or (task == ADVANCE and episode.over):
@@ -44,8 +46,8 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
         bodies, flights, pairs, infos = state.body[b], state.flight[b], state.pair[b], state.info[b]
         own, sights, inboxes = state.own[b], state.sight[b], state.inbox[b]
         tracks, beliefs, v2 = state.track[b], state.belief[b], state.fiedler[b]
-        tables, modes = state.table[b], state.mode[b]
-        piece, vertex = world.piece[b], world.vertex[b]
+        tables, modes, beats = state.table[b], state.mode[b], state.beat[b]
+        piece, vertex, faults = world.piece[b], world.vertex[b], world.fault[b]
         stick_x, stick_y, stick_z = episode.stick_x, episode.stick_y, episode.stick_z
         ticks = p.ticks if task == ADVANCE else warm_ticks
         slots = state.mail.shape[1]  # rounds a message travels
@@ -57,26 +59,38 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
         for i in range(infos.shape[0]):
             infos[i].bytes_sent = 0.0
 
+        muster(pairs, who, whom, first_of, p)
         for tick in range(ticks):
             if task == ADVANCE:
                 move(bodies, flights, episode, p)
-            if look(bodies, pairs, piece, vertex, p) or tick == 0:
+            n_near = list_near(bodies, order, who, whom, first_of[n], scratch.near, p)
+            if look(bodies, pairs, scratch.near, n_near, piece, vertex, p):
                 muster(pairs, who, whom, first_of, p)
+            if task == ADVANCE and faults.shape[0] > 0:
+                now = (episode.step * p.ticks + tick + 1) * p.tick
+                fail(bodies, flights, pairs, state.mail[b], faults, now, p)
             touch(bodies, piece, vertex, episode, p)
             if tick == ticks - 1:
                 episode.n_edges = weigh(pairs, infos, p)
-                episode.lambda2 = connectivity(pairs, v2, scratch.laplacian, scratch.spectrum)
+                episode.lambda2 = connectivity(bodies, pairs, v2, scratch.laplacian, scratch.spectrum)
                 if p.lambda2 == lambda2_estimator.TRUE:
                     reveal_lambda2(beliefs, episode.lambda2, v2)
             sense(bodies, pairs, own, sights, tracks, who, whom, first_of[n], episode, p)
             for k in range(p.rounds):
                 slot = episode.n_rounds % slots
                 post, mail, air = state.post[b, slot], state.mail[b, slot], state.air[b, slot]
+                beat_air = state.beat_air[b, slot]
                 news = (episode.n_rounds - slots) % p.rounds == 0  # the first messages of a tick arrive
                 exchange(post, mail, inboxes, tracks, who, whom, first_of[n], news, p)
                 if slot == 0 and p.lambda2 == lambda2_estimator.POWER:
                     estimate_lambda2(beliefs, tracks, post, inboxes, whom, first_of, p)
                 n_bytes = layout.BYTES_PER_MESSAGE * (p.rounds if repeats else 1)
+                if news:
+                    listen(beats, beat_air, mail, who, whom, first_of[n])
+                if k == 0:
+                    for i in range(n):
+                        tell_beats(beat_air[i], beats[i], i, episode.n_rounds // p.rounds + 1)
+                    n_bytes += bytes_per_beats(n)
                 if p.lambda2 == lambda2_estimator.FLOODING:
                     if news:
                         gather(tables, air, mail, who, whom, first_of[n])
@@ -104,8 +118,10 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
             solve_tables(beliefs, tables, modes, scratch, episode.n_rounds // p.rounds, p)
         arrived = steer(bodies[p.leader_index], world.waypoint[b], world.n_waypoints[b], episode, p)
         own_rows, neighbor_rows = state.own_row[b], state.neighbor_row[b]
-        inform(own, tracks, inboxes, beliefs, modes, whom, first_of, own_rows, neighbor_rows, infos, episode, p)
+        inform(own, tracks, inboxes, beliefs, beats, modes, whom, first_of, own_rows, neighbor_rows, infos, episode, p)
         measure(bodies, piece, vertex, state.range_row[b], episode, p)
+        if faults.shape[0] > 0:
+            darken(bodies, state.flat[b])
         clip(state.flat[b], world.low, world.high)
         if task == ADVANCE:
             end(episode, arrived, p)
@@ -118,15 +134,22 @@ def start(bodies, flights, inboxes, tracks, beliefs, key, p):
     """Robots stand or hover where they are; estimators know nothing yet."""
     n = bodies.shape[0]
     for i in range(n):
-        if p.dynamics == QUADROTOR:
-            hover(bodies[i], flights[i], p)
-        else:
-            stand(bodies[i], p)
+        repair(bodies[i])
+        rest(bodies[i], flights[i], p)
         if p.lambda2 == lambda2_estimator.POWER:
             awaken(beliefs[i], 2.0 * random.uniform(random.draw(key, 0, i, random.START)) - 1.0)
         for j in range(n):
             inboxes[i, j].age = p.memory
             tracks[i, j].cos_yaw = tracks[i, j].cos_used = 1.0
+
+
+@kernel
+def rest(body, flight, p):
+    """A robot stands or hovers where it is."""
+    if p.dynamics == QUADROTOR:
+        hover(body, flight, p)
+    else:
+        stand(body, p)
 
 
 @kernel
@@ -141,12 +164,24 @@ def obey(bodies, actions, stick_x, stick_y, stick_z, p):
 
 @kernel
 def move(bodies, flights, episode, p):
-    """Move every robot by one tick along its command."""
+    """Move every robot by one tick along its command; a dead one stays where it is."""
     for i in range(bodies.shape[0]):
+        if not bodies[i].alive:
+            continue
         if p.dynamics == QUADROTOR:
             fly(bodies[i], flights[i], p, episode.key, episode.n_rounds, i)
         else:
             glide(bodies[i], p)
+
+
+@kernel
+def fail(bodies, flights, pairs, mail, faults, now, p):
+    """What works at the time `now`, s on the clock; a dead robot is at rest, level. One call: two cost speed."""
+    wear(bodies, mail, faults, now)
+    cut(bodies, pairs, p)
+    for i in range(bodies.shape[0]):
+        if not bodies[i].alive:
+            rest(bodies[i], flights[i], p)
 
 
 @kernel
@@ -186,6 +221,15 @@ def estimate_lambda2(beliefs, tracks, post, inboxes, whom, first, p):
     """On board of every robot: one round of the power iteration."""
     for i in range(beliefs.shape[0]):
         power_round(beliefs[i], tracks[i], post[i], inboxes[i], whom[first[i] : first[i + 1]], p)
+
+
+@kernel
+def listen(beats, air, mail, who, whom, count):
+    """On board of every robot: what arrives in this round about who is there."""
+    for k in range(count):
+        i, j = who[k], whom[k]
+        if mail[j, i].arrives:
+            hear_beats(beats[i], air[j])
 
 
 @kernel
@@ -259,11 +303,12 @@ def override_yaw(bodies, tracks, p):
 
 
 @kernel
-def inform(own, tracks, inboxes, beliefs, modes, whom, first, own_rows, neighbor_rows, infos, episode, p):
+def inform(own, tracks, inboxes, beliefs, beats, modes, whom, first, own_rows, neighbor_rows, infos, episode, p):
     """Write what every robot has on board into its observation."""
     for i in range(own.shape[0]):
+        there = share_there(beats[i], episode.n_rounds // p.rounds, p)
         leads, known = i == p.leader_index and p.leader != NOBODY, whom[first[i] : first[i + 1]]
-        observe_self(own_rows[i], own[i], beliefs[i], leads, episode.stick_x, episode.stick_y, episode.stick_z)
+        observe_self(own_rows[i], own[i], beliefs[i], there, leads, episode.stick_x, episode.stick_y, episode.stick_z)
         dropped = observe_neighbors(neighbor_rows[i], tracks[i], inboxes[i], beliefs[i], modes[i], known, p)
         infos[i].neighbors_dropped = dropped
 
@@ -273,3 +318,12 @@ def measure(bodies, piece, vertex, range_rows, episode, p):
     """Write every robot's range points into its observation."""
     for i in range(bodies.shape[0]):
         scan(bodies, i, piece, vertex, range_rows[i], episode.key, episode.n_rounds, p)
+
+
+@kernel
+def darken(bodies, flat):
+    """A dead robot observes nothing: zeros."""
+    for i in range(bodies.shape[0]):
+        if not bodies[i].alive:
+            for k in range(flat.shape[1]):
+                flat[i, k] = 0.0

@@ -49,11 +49,11 @@ PARAMS = _record(
         *_numbers("d_min D1 D2 d_max a_min a_max axis_x axis_y axis_z miss coast"),
         ("occlusion", "b1"),
         *_numbers("range_max"),
-        *_numbers("loss memory"),
+        *_numbers("loss memory liveness"),
         *_numbers("yaw_k1 yaw_k2 yaw_k3 yaw_v_min yaw_v_max yaw_hold"),
         ("yaw_product", "b1"),
         ("yaw_lag_free", "b1"),
-        *_numbers("power_k1 power_k2 power_k3 power_g power_kp power_ki"),
+        *_numbers("power_k1 power_k2 power_k3 power_g power_kp power_ki power_lead"),
         *_numbers("flooding_memory"),
         *_numbers("position_noise position_bias velocity_noise velocity_bias gyro_noise gyro_bias"),
         *_numbers("attitude_noise attitude_bias range_noise range_bias"),
@@ -80,6 +80,16 @@ PIECE = _record(
 )
 
 
+FAULT = _record(
+    [
+        ("robot", "i8"),
+        ("kind", "i8"),  # place in settings.FAULTS
+        ("at", "f8"),  # s on the clock
+        ("until", "f8"),  # s, it works again
+    ]
+)
+
+
 class World(NamedTuple):
     """What does not change in an episode. World frame."""
 
@@ -87,6 +97,7 @@ class World(NamedTuple):
     vertex: np.ndarray  # (B, V, 2) m, corners of the cores, counter-clockwise
     waypoint: np.ndarray  # (B, W, 3) m
     n_waypoints: np.ndarray  # (B,) int64
+    fault: np.ndarray  # (B, F) FAULT
     low: np.ndarray  # (D,) float32, bounds of a flat observation
     high: np.ndarray  # (D,)
 
@@ -103,6 +114,8 @@ BODY = _record(
         *_numbers("command_vx command_vy command_vz command_yaw_rate"),  # yaw frame, saturated
         *_numbers("nearest"),  # m, least distance of centres to another robot at this tick
         *_numbers("clearance"),  # m, least distance to an obstacle at this tick
+        # what works at this tick; of a dead robot nothing does
+        *((name, "b1") for name in "alive sees talks".split()),  # robot, camera, radio
     ]
 )
 # Rigid body, rotors and flight controller of the quadrotor model. World frame unless said.
@@ -124,9 +137,10 @@ PAIR = _record(
         *_numbers("distance"),
         *_numbers("cosine"),  # a_ij: between i's optical axis and the direction of j; old where j is out of reach
         ("blocked", "b1"),  # an obstacle stands in the line of sight
+        ("broken", "b1"),  # a camera or a robot is dead, or one would see the other
         ("seen", "b1"),  # i's camera can see j now
         ("linked", "b1"),  # messages pass now
-        ("asleep", "i8"),  # ticks since messages passed, up to rest_ticks
+        ("asleep", "i8"),  # ticks since messages could pass, but for faults, up to rest_ticks
         ("weight", "f8"),  # true A_ij at the end of the step
         ("watch", "f8"),  # true f*_ij at the end of the step
     ]
@@ -205,9 +219,10 @@ class Scratch(NamedTuple):
 
     laplacian: np.ndarray  # (N, N)
     spectrum: np.ndarray  # (N + spectrum.N_VECTORS, N)
-    # the pairs that have to do with each other, see camera.muster; unsigned, as numba checks each use of a signed index
-    # for counting from the end
-    who: np.ndarray  # (N N,) uint32
+    # unsigned, as numba checks each use of a signed index for counting from the end
+    order: np.ndarray  # (N,) uint32, all robots, see camera.list_near
+    near: np.ndarray  # (N N, 2) uint32, the pairs to look at
+    who: np.ndarray  # (N N,) uint32, the pairs that have to do with each other, see camera.muster
     whom: np.ndarray  # (N N,) uint32
     first: np.ndarray  # (N + 1,) int64
 
@@ -225,6 +240,8 @@ class State(NamedTuple):
     inbox: np.ndarray  # (B, N, N) INBOX: [receiver, sender]
     track: np.ndarray  # (B, N, N) TRACK
     belief: np.ndarray  # (B, N) BELIEF
+    beat: np.ndarray  # (B, N, N) int64, ticks in which each was last known to be there, see liveness.py: [knows, of]
+    beat_air: np.ndarray  # (B, L, N, N) int64, on the air: [slot, sender, of]
     # of lambda2 = "flooding"; elsewhere the sizes behind the robot's are 0
     table: np.ndarray  # (B, N, N, N + 1) each robot's table, see flooding.py
     air: np.ndarray  # (B, L, N, N, N + 1) tables on the air: [slot, sender]

@@ -43,6 +43,8 @@ class Picture:
         self._axes.set(xlim=(x - half[0], x + half[0]), ylim=(y - half[1], y + half[1]))
         tilts = np.stack([body["roll"], body["pitch"]], axis=-1)
         self._scene.show(poses, tilts, world_stick(simulator), pair["weight"], pair["watch"])
+        if simulator.scenario.faults:
+            self._scene.show_faults(body["alive"], body["sees"])
         now = simulator.state.episode[0]
         self._text.set_text(f"{now['step'] * self._scenario.step_time:.1f} s    λ₂ = {now['lambda2']:.2f}")
         self._canvas.draw()

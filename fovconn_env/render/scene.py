@@ -62,7 +62,7 @@ class Scene:
 
     def __init__(self, axes: Axes, scenario: Scenario, metre: float) -> None:
         self._scenario, self._size = scenario, 7.5 / metre  # m, a body's radius in the picture
-        colors = style.colors_of(scenario)
+        self._colors = colors = style.colors_of(scenario)
         self._far = PolyCollection([], fc=colors, ec=colors, alpha=0.055, lw=0.8, zorder=2)
         self._near = PolyCollection([], fc=colors, ec="none", alpha=0.22, zorder=3)
         self._trails = LineCollection([], colors=colors, lw=1.4, alpha=0.55, zorder=4)
@@ -91,6 +91,13 @@ class Scene:
         self._bodies.set_verts(list(body_shapes(poses, self._size)))
         for number, at in zip(self._numbers, poses[:, :2], strict=True):
             number.set_position(at)
+
+    def show_faults(self, alive: np.ndarray, sees: np.ndarray) -> None:
+        """Grey bodies for dead robots, no cones for dead cameras; alive and sees are (N,) bool."""
+        self._bodies.set_facecolor([c if ok else style.FAINT for c, ok in zip(self._colors, alive, strict=True)])
+        cones = [c if ok else "none" for c, ok in zip(self._colors, sees, strict=True)]
+        self._far.set(facecolor=cones, edgecolor=cones)
+        self._near.set_facecolor(cones)
 
     def show_trails(self, tracks: np.ndarray) -> None:
         """Draw where the robots came from: tracks (S, N, 2)."""

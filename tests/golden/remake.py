@@ -61,7 +61,7 @@ def record(name: str) -> dict[str, np.ndarray]:
 def _values(simulator: Simulator) -> dict[str, np.ndarray]:
     state = simulator.state
     body, track, belief, episode = state.body[0], state.track[0], state.belief[0], state.episode[0]
-    numbers = [column for column in state.info.dtype.names if column != "yaw_error"]
+    numbers = [column for column in state.info.dtype.names if column not in ("yaw_error", "alive")]
     return {
         "poses": simulator.poses()[0],
         "motion": np.stack([body[name] for name in ("vx", "vy", "vz", "yaw_rate", "roll", "pitch")], axis=-1),

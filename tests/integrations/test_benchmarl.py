@@ -28,10 +28,11 @@ def test_every_scenario_is_a_task(script):
         env = chosen.get_env_fun(1, True, 0, "cpu")()
         assert env.scenario.name == script.SCENARIOS[task.name]
         assert chosen.max_steps(env) == PRESETS[env.scenario.name].max_cycles
-        assert chosen.group_map(env) == {"uav": [f"uav_{i}" for i in range(6)]}
-        assert chosen.observation_spec(env)["uav", "observation"].shape == (6, env.scenario.observation_size)
+        n = env.scenario.n_agents
+        assert chosen.group_map(env) == {"uav": [f"uav_{i}" for i in range(n)]}
+        assert chosen.observation_spec(env)["uav", "observation"].shape == (n, env.scenario.observation_size)
         assert chosen.state_spec(env)["state"].shape == env.state_space.shape
-        assert chosen.action_spec(env)["uav", "action"].shape == (6, 4)
+        assert chosen.action_spec(env)["uav", "action"].shape == (n, 4)
 
 
 def test_time_truncates_and_does_not_terminate(script):

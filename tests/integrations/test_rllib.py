@@ -57,7 +57,7 @@ def test_time_truncates_and_does_not_terminate(script):
         assert robot.is_truncated
         assert not robot.is_terminated
         assert len(robot) == 8
-        assert robot.get_observations(-1).shape == (204,)
+        assert robot.get_observations(-1).shape == (205,)
 
 
 def test_a_collision_terminates_all(script):

@@ -32,7 +32,7 @@ def test_it_learns_and_a_seed_repeats_it(script):
 
 def test_robots_share_one_net(script):
     model = script.train(0, **SIZES)
-    assert model.observation_space.shape == (204,)
+    assert model.observation_space.shape == (205,)
     assert model.action_space.shape == (4,)
     assert model.env.num_envs == 12
 

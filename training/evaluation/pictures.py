@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, NullLocator, PercentFormatter
 
+from fovconn_env.metrics import CAUSES as LOST_BY
 from fovconn_env.metrics import ERRORS, SPLIT_CAUSE, bin_edges
 from fovconn_env.render.style import DARK, FAINT, FOLLOWERS, LEADER, RC, page, save
 from training.evaluation.comparison import EXPERT, MERIT, Comparison, Result
@@ -24,7 +25,7 @@ from training.evaluation.statistics import survival
 
 WIDTH = 7.5  # inches, 1200 pixels
 ROW = 0.27  # inches of a policy in bar charts and forests
-CAUSES = {"range": "#0072B2", "field of view": "#E69F00", "occlusion": "#CC79A7"}
+CAUSES = {"range": "#0072B2", "field of view": "#E69F00", "occlusion": "#CC79A7", "fault": "#555555"}
 MEASURES = {
     "score": "score: 0 random's mean, 1 the expert's",
     "sct": "success weighted by completion time",
@@ -149,11 +150,11 @@ def draw_causes(results: Mapping[str, Result], names: Mapping[str, str], look: M
     """Reasons of lost links, a minute, and of splits."""
     figure = page(WIDTH, 1.35 + ROW * len(results))
     left, right = figure.subplots(1, 2, sharey=True)
-    lost, splits = np.zeros((len(results), 3)), np.zeros((len(results), len(SPLIT_CAUSE) - 1))
+    lost, splits = np.zeros((len(results), len(LOST_BY))), np.zeros((len(results), len(SPLIT_CAUSE) - 1))
     for row, result in enumerate(results.values()):
         episodes = result.evaluation.episodes
         minutes = episodes["duration"].sum() / 60
-        lost[row] = [episodes[f"lost_by_{cause}"].sum() / minutes for cause in ("range", "view", "occlusion")]
+        lost[row] = [episodes[f"lost_by_{cause}"].sum() / minutes for cause in LOST_BY]
         splits[row] = [np.sum(episodes["split_cause"] == k) for k in range(1, len(SPLIT_CAUSE))]
     _bars(left, lost)
     _bars(right, splits)
