@@ -21,6 +21,7 @@ from fovconn_env.scenarios import Scenario
 
 _HALF_WIDTH = 0.34  # m of a quadrotor in the picture, or more where it would be too small to see
 _STUB = 1.8  # m of a camera's view that is drawn strong
+_DISC = shapes3d.rim((0.0, 0.0, 1.0), 0.0, 48)  # level, (48, 3)
 _CIRCLE = shapes3d.rim((0.0, 0.0, 1.0), 0.0, 14)  # level, (14, 3)
 
 
@@ -44,6 +45,7 @@ class Painter:
         self._reach = camera.d_max
         self.colors = colors_of(scenario, theme)
         self._tints = [mixed(color, theme.ground, 0.45) for color in self.colors]
+        self._hints = [mixed(color, theme.ground, 0.25) for color in self.colors]
         self._faces = [mixed("#FFFFFF", mixed(theme.obstacle, "#000000", 0.62 + 0.38 * k / 15), 0.12 * k / 15) for k in range(16)]
         self._roof = mixed("#FFFFFF", theme.obstacle, 0.22)
 
@@ -86,11 +88,13 @@ class Painter:
 
     def paint_ground(self, surface: pygame.Surface, lens: Lens, center: np.ndarray, radius: float, floor: float, step: float) -> None:
         """Draw a disc of floor with the world's grid. center (2,), radius and step, m."""
-        disc = np.append(center, floor) + radius * shapes3d.rim((0.0, 0.0, 1.0), 0.0, 48)
-        corners = in_front(lens, disc)
-        if len(corners) > 2:
-            pygame.draw.polygon(surface, self._theme.ground, project(lens, corners)[0].tolist())
-        for share, color in ((1.0, mixed(self._theme.grid, self._theme.ground, 0.45)), (0.62, self._theme.grid)):
+        rings = [(0.62, self._theme.grid)]
+        if not lens.parallel:
+            corners = in_front(lens, np.append(center, floor) + radius * _DISC)
+            if len(corners) > 2:
+                pygame.draw.polygon(surface, self._theme.ground, project(lens, corners)[0].tolist())
+            rings.insert(0, (1.0, mixed(self._theme.grid, self._theme.ground, 0.45)))
+        for share, color in rings:
             lines = shapes3d.grid_lines(center, share * radius, step)
             ends = clipped(lens, np.concatenate([lines, np.full((*lines.shape[:2], 1), floor)], axis=-1))
             for a, b in project(lens, ends)[0].tolist():
@@ -104,7 +108,7 @@ class Painter:
         feet, _ = project(lens, ground)
         for i in np.flatnonzero(shown):
             pygame.draw.polygon(surface, self._theme.shadow, discs[i].tolist())
-            _dotted(surface, self._tints[i], pixels[i], feet[i])
+            pygame.draw.line(surface, self._tints[i], pixels[i], feet[i], FINE)
 
     def _paint_course(self, surface: pygame.Surface, lens: Lens, stage: Stage, ahead: int) -> None:
         """The leader's way on the floor, dotted, with poles up to the way points."""
@@ -127,16 +131,15 @@ class Painter:
         """Where cameras look: a translucent wedge and the circle it opens to; from above also how far they reach."""
         n, alpha = len(at), 26 if self._crowd else 58
         stub = shapes3d.placed(self._fan, attitude, at, np.full(n, _STUB))
-        layers = [(alpha, project(lens, stub))]
-        if lens.parallel and not self._crowd:
-            layers.insert(0, (14, project(lens, shapes3d.placed(self._fan, attitude, at, np.full(n, self._reach)))))
-        for strength, (wedges, depth) in layers:
-            for i in np.flatnonzero(shown & (depth.min(axis=1) > NEAR)):
-                gfxdraw.filled_polygon(surface, wedges[i].tolist(), (*pygame.Color(self.colors[i])[:3], strength))
-        if not lens.parallel and not self._crowd:
-            rims, depth = project(lens, shapes3d.placed(self._rim, attitude, at, np.full(n, _STUB)))
-            for i in np.flatnonzero(shown & (depth.min(axis=1) > NEAR)):
-                pygame.draw.lines(surface, self._tints[i], True, rims[i].tolist(), 1)
+        wedges, depth = project(lens, stub)
+        for i in np.flatnonzero(shown & (depth.min(axis=1) > NEAR)):
+            gfxdraw.filled_polygon(surface, wedges[i].tolist(), (*pygame.Color(self.colors[i])[:3], alpha))
+        if self._crowd:
+            return
+        edge, reach = (self._fan, self._reach) if lens.parallel else (self._rim, _STUB)
+        edges, depth = project(lens, shapes3d.placed(edge, attitude, at, np.full(n, reach)))
+        for i in np.flatnonzero(shown & (depth.min(axis=1) > NEAR)):
+            pygame.draw.lines(surface, self._hints[i], True, edges[i].tolist(), FINE if lens.parallel else 1)
 
     # -------------------------------------------------------------------------- what hides and is hidden: (depth, draw, ...)
     def _walls(self, lens: Lens, stage: Stage) -> list[tuple]:
@@ -170,7 +173,7 @@ class Painter:
         halves = clipped(lens, np.stack([np.stack([at[eyes], middle], 1), np.stack([middle, at[seen]], 1)], 1))
         lines, depth = project(lens, halves)
         behind = depth.mean(axis=-1) + 0.4  # robots stand before their own links
-        widths = (FINE * (0.7 if self._crowd else 1.0) * (1.0 + 2.6 * now.weights[first, second])).round().astype(int)
+        widths = (FINE * (0.7 if self._crowd else 1.0) * (0.8 + 2.0 * now.weights[first, second])).round().astype(int)
         jobs = []
         for k, (ends, far, width) in enumerate(zip(lines.tolist(), behind.tolist(), widths.tolist(), strict=True)):
             mutual, alarm = kinds[k] == sight.MUTUAL, (int(first[k]), int(second[k])) in weak
@@ -180,7 +183,7 @@ class Painter:
                     jobs.append((distance + 0.01, _line, theme.warning, a, b, width + 5 * FINE))
                 jobs.append((distance, _line, color, a, b, width))
             if not mutual and depth[k].min() > NEAR:
-                head = _head(pixels[eyes[k]], pixels[seen[k]], float(radii[seen[k]]))
+                head = _head(pixels[eyes[k]], pixels[seen[k]], float(radii[seen[k]]), width)
                 jobs.append((far[1] - 0.39, _fill_outlined, color, theme.page, head.tolist()))
         return jobs
 
@@ -216,14 +219,14 @@ class Painter:
             _fill_outlined(surface, self._theme.leader, self._theme.page, shapes3d.arrow(*ends, 0.55 * size).tolist())
 
 
-def _head(eye: np.ndarray, seen: np.ndarray, radius: float) -> np.ndarray:
-    """The head (3, 2) of an arrow from one robot to another, short of the latter's radius; all in pixels."""
+def _head(eye: np.ndarray, seen: np.ndarray, radius: float, width: int) -> np.ndarray:
+    """The head (3, 2) of an arrow from one robot to another, short of the latter's radius; width: the line's. Pixels."""
     along = seen - eye
     length = max(float(np.hypot(along[0], along[1])), 1e-6)
     along = along / length
-    long = min(6.5 * FINE, 0.35 * length)
+    long = min(6.0 * FINE + width, 0.35 * length)
     tip = seen - min(1.25 * radius, 0.4 * length) * along
-    side = 0.55 * long * np.array([-along[1], along[0]])
+    side = 0.5 * long * np.array([-along[1], along[0]])
     return np.array([tip, tip - long * along + side, tip - long * along - side])
 
 
@@ -239,7 +242,7 @@ def _line(surface: pygame.Surface, color: str, a: list[float], b: list[float], w
 
 def _dotted(surface: pygame.Surface, color: str, a: np.ndarray, b: np.ndarray) -> None:
     """A line of dashes, some pixels each."""
-    n = int(min(np.hypot(*(b - a)) / (4 * FINE), 200)) // 2 * 2 + 1
+    n = int(min(np.hypot(*(b - a)) / (5 * FINE), 80)) // 2 * 2 + 1
     ends = (a + np.arange(n + 1)[:, None] / n * (b - a)).tolist()
     for k in range(0, n, 2):
         pygame.draw.line(surface, color, ends[k], ends[k + 1], FINE)
@@ -263,12 +266,11 @@ def _robot(surface: pygame.Surface, color: str, nose: str, theme: Theme, shape: 
     if ring:
         pygame.draw.polygon(surface, color, ring, FINE)
     hubs = shape[shapes3d.ARMS]
-    for width, tone in ((3 * FINE, theme.page), (FINE, color)):
-        pygame.draw.line(surface, tone, hubs[0], hubs[2], width)
-        pygame.draw.line(surface, tone, hubs[1], hubs[3], width)
+    pygame.draw.line(surface, theme.text, hubs[0], hubs[2], FINE)
+    pygame.draw.line(surface, theme.text, hubs[1], hubs[3], FINE)
     for k in range(4):
         rotor = shape[12 * k : 12 * k + 12]
         pygame.draw.polygon(surface, color, rotor)
-        pygame.draw.polygon(surface, theme.page, rotor, 1)
+        pygame.draw.lines(surface, theme.page, True, rotor, 1)
     _fill_outlined(surface, nose, color if nose == theme.page else theme.page, shape[shapes3d.NOSE])
-    pygame.draw.polygon(surface, color, shape[shapes3d.BODY])
+    pygame.draw.polygon(surface, theme.text, shape[shapes3d.BODY])

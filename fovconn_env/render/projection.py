@@ -15,15 +15,18 @@ HALF_VIEW = math.tan(math.radians(19.0))  # tangent of half the vertical field o
 
 
 class Lens(NamedTuple):
-    """Where the eye is and how it looks. Axes are unit vectors in the world frame."""
+    """Where the eye is and how it looks."""
 
     eye: np.ndarray  # (3,) m
-    right: np.ndarray  # (3,)
-    up: np.ndarray  # (3,)
-    forward: np.ndarray  # (3,)
+    axes: np.ndarray  # (3, 3) columns right, down, forward, unit vectors in the world frame
     center: tuple[float, float]  # pixels
     focal: float  # pixels at a depth of 1 m; pixels a metre if parallel
     parallel: bool = False  # no perspective
+
+    @property
+    def forward(self) -> np.ndarray:
+        """Where it looks, (3,)."""
+        return self.axes[:, 2]
 
 
 def look_at(target: np.ndarray, azimuth: float, elevation: float, distance: float, size: tuple[float, float]) -> Lens:
@@ -31,28 +34,24 @@ def look_at(target: np.ndarray, azimuth: float, elevation: float, distance: floa
 
     size: width and height of the panel, pixels; the target comes to its middle.
     """
-    c = math.cos(elevation)
-    out = np.array([c * math.cos(azimuth), c * math.sin(azimuth), math.sin(elevation)])
-    right = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
+    c, s = math.cos(azimuth), math.sin(azimuth)
+    level, rise = math.cos(elevation), math.sin(elevation)
+    axes = np.array([[-s, rise * c, -level * c], [c, rise * s, -level * s], [0.0, -level, -rise]])
     width, height = size
-    return Lens(
-        target + distance * out, right, np.cross(right, -out), -out, (width / 2, height / 2), height / 2 / HALF_VIEW
-    )
+    return Lens(target - distance * axes[:, 2], axes, (width / 2, height / 2), height / 2 / HALF_VIEW)
 
 
 def from_above(target: np.ndarray, scale: float, size: tuple[float, float]) -> Lens:
     """A lens straight down, x to the right and y up, without perspective: `scale` pixels a metre."""
-    x, y, z = np.eye(3)
-    return Lens(target + 1000.0 * z, x, y, -z, (size[0] / 2, size[1] / 2), scale, parallel=True)
+    axes = np.diag([1.0, -1.0, -1.0])
+    return Lens(target - 1000.0 * axes[:, 2], axes, (size[0] / 2, size[1] / 2), scale, parallel=True)
 
 
 def project(lens: Lens, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (..., 2) and depths (...), m, of points (..., 3). What is behind the eye lands anywhere: see `in_front`."""
-    seen = (points - lens.eye) @ np.stack([lens.right, lens.up, lens.forward], axis=1)
+    """Pixels (..., 2) and depths (...), m, of points (..., 3); what is behind the eye lands anywhere."""
+    seen = (points - lens.eye) @ lens.axes
     depth = seen[..., 2]
-    scale = scale_at(lens, depth)
-    flat = np.stack([lens.center[0] + scale * seen[..., 0], lens.center[1] - scale * seen[..., 1]], axis=-1)
-    return flat, depth
+    return seen[..., :2] * scale_at(lens, depth)[..., None] + lens.center, depth
 
 
 def scale_at(lens: Lens, depth: np.ndarray) -> np.ndarray:
@@ -79,8 +78,8 @@ def fitting_distance(points: np.ndarray, target: np.ndarray, lens: Lens, fill: f
     """Distance from the target, m, at which points (K, 3) stay within a share `fill` of a perspective lens' panel."""
     seen = points - target
     tangents = np.array(lens.center) / lens.focal * fill
-    aside = np.abs(np.stack([seen @ lens.right, seen @ lens.up], axis=-1))
-    return float((aside / tangents - (seen @ lens.forward)[:, None]).max())
+    aside = seen @ lens.axes
+    return float((np.abs(aside[:, :2]) / tangents - aside[:, 2:]).max())
 
 
 def clipped(lens: Lens, segments: np.ndarray) -> np.ndarray:
@@ -92,4 +91,4 @@ def clipped(lens: Lens, segments: np.ndarray) -> np.ndarray:
     share = np.where(a == b, 0.0, a / np.where(a == b, 1.0, a - b))
     crossing = segments[..., 0, :] + share * (segments[..., 1, :] - segments[..., 0, :])
     ends = np.where(depth[..., None] < 0.0, crossing[..., None, :], segments)
-    return np.where((depth < 0.0).all(axis=-1)[..., None, None], lens.eye + NEAR * lens.forward + 1e3 * lens.up, ends)
+    return np.where((depth < 0.0).all(axis=-1)[..., None, None], lens.eye + NEAR * lens.forward - 1e3 * lens.axes[:, 1], ends)

@@ -8,6 +8,7 @@ import numpy as np
 import pygame
 
 from fovconn_env.render.history import SPAN, History
+from fovconn_env.render.instant import Instant
 from fovconn_env.render.palette import Theme, mixed
 from fovconn_env.render.text import Typesetter
 
@@ -18,52 +19,66 @@ _TICKS = (0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 
 
 class Strip:
-    """Two plots in a rectangle of the page. `draw` the curves on the fine surface, then `letter` the page."""
+    """Two plots beside each other. The curves are drawn anew four times a second, which is a point of theirs."""
 
-    def __init__(self, place: pygame.Rect, line: int, theme: Theme, colors: list[str], bound: float) -> None:
-        """line: height of a line of text, px; bound: lambda2_min."""
-        self._theme, self._bound = theme, bound
+    def __init__(self, size: tuple[int, int], line: int, theme: Theme, colors: list[str], bound: float) -> None:
+        """size: px; line: height of a line of text, px; colors: the robots'; bound: lambda2_min."""
+        self._theme, self._bound, self._size = theme, bound, size
         share = 1.0 if len(colors) <= 12 else 0.45
         self._colors = [mixed(color, theme.panel, share) for color in colors]
-        wide = round(0.66 * place.width)
-        inner = pygame.Rect(place.left + 3 * line, place.top + line, wide - 4 * line, place.height - round(1.4 * line))
-        self._left = inner
-        self._right = pygame.Rect(place.left + wide + 2 * line, inner.top, place.width - wide - 3 * line, inner.height)
-        self._top, self._most, self._now = 0.1, 1, (0.0, 0)  # ends of both axes, latest values
+        wide, height = round(0.66 * size[0]), size[1] - round(1.4 * line)
+        self._left = pygame.Rect(5 * line, line, wide - 6 * line, height)
+        self._right = pygame.Rect(wide + 2 * line, line, size[0] - wide - 3 * line, height)
+        self._fine = pygame.Surface((FINE * size[0], FINE * size[1]), 0, 32)
+        self._drawn = pygame.Surface(size, 0, 32)
+        self._instant: tuple[int, int] | None = None
+        self._top, self._most = 0.1, 1  # ends of both axes
 
-    def draw(self, fine: pygame.Surface, history: History, now: float) -> None:
-        """Draw the last 30 s before `now`, s."""
+    def draw(self, history: History, now: Instant) -> pygame.Surface:
+        """The plots of the last 30 s without words."""
+        instant = now.key, int(now.time * _POINTS / SPAN + 1e-6)
+        if instant != self._instant:
+            self._instant = instant
+            self._draw(history, now.time)
+            pygame.transform.smoothscale(self._fine, self._size, self._drawn)
+        return self._drawn
+
+    def _draw(self, history: History, now: float) -> None:
+        fine, theme = self._fine, self._theme
         time, lambda2, edges, hats = history.strip(now - SPAN)
         highest = max(float(lambda2.max()), float(hats.max()), 4.0 * self._bound)
         self._top = next((end for end in _ENDS if end >= highest), highest)
-        self._most, self._now = max(4, int(edges.max())), (float(lambda2[-1]), int(edges[-1]))
+        self._most = max(4, int(edges.max()))
         bins = np.floor(time * _POINTS / SPAN + 1e-6)  # of the episode's time, so that the curves do not crawl
         chosen = np.flatnonzero(np.diff(bins, append=math.inf))
         ages = now - time[chosen]
+        fine.fill(theme.page)
         for place in (self._left, self._right):
-            pygame.draw.rect(fine, self._theme.panel, _fine(place))
+            pygame.draw.rect(fine, theme.panel, _fine(place))
         for tick in self._ticks():
-            self._level(fine, self._left, math.sqrt(tick / self._top), self._theme.grid)
+            self._level(fine, self._left, math.sqrt(tick / self._top), theme.grid)
         for color, hat in zip(self._colors, hats[chosen].T, strict=True):
             self._curve(fine, self._left, ages, self._share(hat), color, 2)
-        self._level(fine, self._left, math.sqrt(self._bound / self._top), self._theme.text, dash=8)
-        self._curve(fine, self._left, ages, self._share(lambda2[chosen]), self._theme.truth, 4)
-        self._level(fine, self._right, 1 / 1.15, self._theme.grid)
-        self._curve(fine, self._right, ages, edges[chosen] / (1.15 * self._most), self._theme.one_way, 4)
+        self._level(fine, self._left, math.sqrt(self._bound / self._top), theme.text, dash=8)
+        self._curve(fine, self._left, ages, self._share(lambda2[chosen]), theme.truth, 4)
+        self._level(fine, self._right, 1 / 1.15, theme.grid)
+        self._curve(fine, self._right, ages, edges[chosen] / (1.15 * self._most), theme.one_way, 4)
 
-    def letter(self, page: pygame.Surface, type_: Typesetter) -> None:
-        """Set titles, latest values and ticks."""
-        theme, (lambda2, edges) = self._theme, self._now
-        left, right, line = self._left, self._right, type_.line
-        x = type_.put(page, type_.words(f"λ₂ {lambda2:.2f}", theme.truth, bold=True), (left.left, left.top - line)).right
-        note = "  estimates in the robots' colours, last 30 s"
-        if x + type_.width(note) < left.right:
-            type_.put(page, type_.words(note, theme.faint), (x, left.top - line))
-        type_.put(page, type_.words(f"links {edges}", theme.one_way, bold=True), (right.left, right.top - line))
+    def letter(self, page: pygame.Surface, corner: tuple[int, int], now: Instant, type_: Typesetter) -> None:
+        """Set titles, latest values and ticks; corner: where on the page the strip stands."""
+        theme, left, right = self._theme, self._left.move(corner), self._right.move(corner)
+        words = type_.words(f"λ₂ {now.lambda2:.2f}", theme.truth, bold=True)
+        title = type_.put(page, words, (left.left, left.top - type_.line))
+        note = "estimates in the robots' colours, last 30 s"
+        if title.left + 6 * type_.line + type_.width(note) < left.right:
+            type_.put(page, type_.words(note, theme.faint), (title.left + 6 * type_.line, title.top))
+        words = type_.words(f"links {np.count_nonzero(now.weights) // 2}", theme.one_way, bold=True)
+        type_.put(page, words, (right.left, right.top - type_.line))
         self._tick(page, type_, left, self._bound, math.sqrt(self._bound / self._top), "min")
         for tick in self._ticks():
             self._tick(page, type_, left, tick, math.sqrt(tick / self._top), "")
-        self._tick(page, type_, right, self._most, 1 / 1.15, "")
+        for count, share in ((self._most, 1 / 1.15), (0, 0.0)):
+            self._tick(page, type_, right, count, share, "")
 
     def _ticks(self) -> list[float]:
         """Ticks of lambda2 far enough from each other, px, on the axis of square roots."""

@@ -50,13 +50,13 @@ class View:
         self._colors = THEMES[self.theme]
         self._type = Typesetter(text_height(self.size))
         self._painter = Painter(self._scenario, self._colors)
-        self._fine = pygame.Surface((FINE * self.size[0], FINE * self.size[1]), 0, 32)
         self._page = pygame.Surface(self.size, 0, 32)
         page, scenario = divide(self.size, self._type.line, above=True), self._scenario
         operated = leader_of(scenario) is not None
         self._key = draw_key(page.key.size, self._colors, self._type, operated=operated)
         bound = scenario.lambda2_min
-        self._strip = Strip(page.strip, self._type.line, self._colors, self._painter.colors, bound)
+        self._strip = Strip(page.strip.size, self._type.line, self._colors, self._painter.colors, bound)
+        self._fine = pygame.Surface((FINE * self.size[0], FINE * page.world.height), 0, 32)
 
     def draw(self, simulator: Simulator) -> pygame.Surface:
         """The first world now, on a surface that the next call draws on again."""
@@ -68,11 +68,12 @@ class View:
         page = divide(self.size, self._type.line, above=self.look.above and self.look.camera != "top")
         self._fine.fill(self._colors.page)
         marks = [self._paint(place, now, weak, k > 0) for k, place in enumerate(page[:2]) if place.width]
-        self._strip.draw(self._fine, self._history, now.time)
-        pygame.transform.smoothscale(self._fine, self.size, self._page)
+        free = self._page.subsurface((0, 0, self.size[0], page.world.height))
+        pygame.transform.smoothscale(self._fine, free.get_size(), free)
         self._type.taken.clear()
         self._page.blit(self._key, page.key)
-        self._strip.letter(self._page, self._type)
+        self._page.blit(self._strip.draw(self._history, now), page.strip)
+        self._strip.letter(self._page, page.strip.topleft, now, self._type)
         self._letter(page.world, now, notices(now, weak, self._scenario))
         for k, (mark, place) in enumerate(zip(marks, page[:2], strict=False)):
             self._label(place, mark, now, weak, named=k == 0)
@@ -92,7 +93,7 @@ class View:
         else:
             radius = max(1.4 * team + 4.0, 14.0)
         self._painter.paint_ground(panel, lens, middle, radius, floor, _grid(radius))
-        least = FINE * (place.height / 38 if self._scenario.n_agents <= 12 else place.height / 75)
+        least = FINE * (place.height / 31 if self._scenario.n_agents <= 12 else place.height / 60)
         marks = self._painter.paint(
             panel,
             lens,
@@ -140,7 +141,7 @@ class View:
             self._type.label(self._page, words, marks.robots[i] / FINE + place.topleft, 1.15 * marks.radii[i] / FINE)
         for k, at in enumerate(marks.waypoints):
             color = theme.operator if k >= now.waypoint else theme.faint
-            words = self._type.words(str(k + 1), color, halo=theme.page, bold=True)
+            words = self._type.words(f"P{k + 1}", color, halo=theme.page, bold=True)
             self._type.label(self._page, words, at / FINE + place.topleft, 0.6 * self._type.line)
         self._page.set_clip(None)
 
