@@ -167,7 +167,7 @@ def test_unknown_keywords_and_ids_are_errors_that_help(build):
         build("LeaderFollow-v0", n_agnets=4)
     with pytest.raises(ValueError, match=r"'LeaderFolow-v0'.*did you mean 'LeaderFollow-v0'"):
         build("LeaderFolow-v0")
-    with pytest.raises(ValueError, match="render_mode must be None or one of rgb_array, got 'ansi'"):
+    with pytest.raises(ValueError, match="render_mode must be None or one of human, rgb_array, got 'ansi'"):
         build("LeaderFollow-v0", render_mode="ansi")
 
 

@@ -24,7 +24,7 @@ class Look:
     target: int | None = None  # robot in the middle; None: the whole team, or behind whom: the leader
     azimuth: float = math.radians(-112.0)  # where the eye is, from the target: 0 east, pi/2 north
     elevation: float = math.radians(38.0)
-    distance: float | None = None  # None: as far as it takes to see the whole team; behind a robot 7 m
+    distance: float | None = None  # None: as far as it takes to see the whole team; behind a robot 10 m
     cones: bool = True  # cameras' views
     trails: bool = True
     above: bool = True  # the view from above, beside
@@ -43,7 +43,7 @@ class Aim:
         if look.camera == "follow":
             robot = self._leader if look.target is None else look.target
             goal, azimuth = at[robot], now.poses[robot, 3] + math.pi
-            distance = look.distance or 7.0
+            distance = look.distance or 10.0
         else:
             goal = (at.min(0) + at.max(0)) / 2 if look.target is None else at[look.target]
             azimuth = look.azimuth
@@ -56,9 +56,8 @@ class Aim:
         turned = math.atan2(self._now[5], self._now[4])
         if look.camera == "top":
             return from_above(self._now[:3], _scale(at - self._now[:3], size, look.distance), size)
-        elevation = math.radians(24.0) if look.camera == "follow" else look.elevation
-        lens = look_at(self._now[:3], turned, elevation, float(self._now[3]), size)
-        sunk = 0.12 * size[1] if look.camera == "follow" else 0.0  # the robot stands below the middle
+        lens = look_at(self._now[:3], turned, look.elevation, float(self._now[3]), size)
+        sunk = 0.15 * size[1] if look.camera == "follow" else 0.0  # the robot stands below the middle
         return lens._replace(center=(lens.center[0], lens.center[1] + sunk))
 
 

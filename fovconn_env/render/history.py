@@ -10,7 +10,7 @@ SPAN = 30.0  # s kept
 
 
 class History:
-    """Columns over time. They grow at the end of buffers of twice the room and move to the front when those are full."""
+    """Columns over time. They grow at the end of buffers of twice the room and move to the front when it is used up."""
 
     def __init__(self, n_agents: int, step_time: float) -> None:
         self._room, self._key, self._end = round(SPAN / step_time) + 1, -1, 0

@@ -31,6 +31,7 @@ class Marks(NamedTuple):
     robots: np.ndarray  # (N, 2)
     radii: np.ndarray  # (N,)
     waypoints: np.ndarray  # (W, 2)
+    grid: float = 0.0  # m between grid lines
 
 
 class Painter:
@@ -46,7 +47,9 @@ class Painter:
         self.colors = colors_of(scenario, theme)
         self._tints = [mixed(color, theme.ground, 0.45) for color in self.colors]
         self._hints = [mixed(color, theme.ground, 0.25) for color in self.colors]
-        self._faces = [mixed("#FFFFFF", mixed(theme.obstacle, "#000000", 0.62 + 0.38 * k / 15), 0.12 * k / 15) for k in range(16)]
+        self._faces = [
+            mixed("#FFFFFF", mixed(theme.obstacle, "#000000", 0.62 + 0.38 * k / 15), 0.12 * k / 15) for k in range(16)
+        ]
         self._roof = mixed("#FFFFFF", theme.obstacle, 0.22)
 
     def paint(
@@ -86,7 +89,9 @@ class Painter:
         seen = np.where((depth > NEAR)[:, None], pixels, -1e6)
         return Marks(seen, half * scale, waypoints)
 
-    def paint_ground(self, surface: pygame.Surface, lens: Lens, center: np.ndarray, radius: float, floor: float, step: float) -> None:
+    def paint_ground(
+        self, surface: pygame.Surface, lens: Lens, center: np.ndarray, radius: float, floor: float, step: float
+    ) -> None:
         """Draw a disc of floor with the world's grid. center (2,), radius and step, m."""
         rings = [(0.62, self._theme.grid)]
         if not lens.parallel:
@@ -101,7 +106,16 @@ class Painter:
                 pygame.draw.line(surface, color, a, b, FINE)
 
     # ------------------------------------------------------------------------------------------- on the ground
-    def _paint_shadows(self, surface: pygame.Surface, lens: Lens, at: np.ndarray, half: np.ndarray, floor: float, pixels: np.ndarray, shown: np.ndarray) -> None:
+    def _paint_shadows(
+        self,
+        surface: pygame.Surface,
+        lens: Lens,
+        at: np.ndarray,
+        half: np.ndarray,
+        floor: float,
+        pixels: np.ndarray,
+        shown: np.ndarray,
+    ) -> None:
         """Discs under the robots and lines down to them, so that heights can be read."""
         ground = at * [1.0, 1.0, 0.0] + [0.0, 0.0, floor]
         discs, _ = project(lens, ground[:, None] + half[:, None, None] * 0.8 * _CIRCLE)
@@ -127,7 +141,9 @@ class Painter:
             if near > NEAR and len(line) > 1:
                 pygame.draw.lines(surface, color, False, line, FINE)
 
-    def _paint_cones(self, surface: pygame.Surface, lens: Lens, at: np.ndarray, attitude: np.ndarray, shown: np.ndarray) -> None:
+    def _paint_cones(
+        self, surface: pygame.Surface, lens: Lens, at: np.ndarray, attitude: np.ndarray, shown: np.ndarray
+    ) -> None:
         """Where cameras look: a translucent wedge and the circle it opens to; from above also how far they reach."""
         n, alpha = len(at), 26 if self._crowd else 58
         stub = shapes3d.placed(self._fan, attitude, at, np.full(n, _STUB))
@@ -141,7 +157,7 @@ class Painter:
         for i in np.flatnonzero(shown & (depth.min(axis=1) > NEAR)):
             pygame.draw.lines(surface, self._hints[i], True, edges[i].tolist(), FINE if lens.parallel else 1)
 
-    # -------------------------------------------------------------------------- what hides and is hidden: (depth, draw, ...)
+    # ---------------------------------------------------------------- what hides and is hidden: (depth, draw, ...)
     def _walls(self, lens: Lens, stage: Stage) -> list[tuple]:
         """Faces that look towards the eye, and roofs, each a little nearer than the nearest of its walls."""
         walls, normals, roofs, owner = stage.blocks
@@ -163,7 +179,9 @@ class Painter:
                 jobs.append((float(near) - 0.01, _fill, self._roof, project(lens, corners)[0].tolist()))
         return jobs
 
-    def _links(self, lens: Lens, now: Instant, pixels: np.ndarray, radii: np.ndarray, weak: list[tuple[int, int]]) -> list[tuple]:
+    def _links(
+        self, lens: Lens, now: Instant, pixels: np.ndarray, radii: np.ndarray, weak: list[tuple[int, int]]
+    ) -> list[tuple]:
         """Halves of links, as wide as the weight. One-way links carry an arrow towards the robot that is seen."""
         theme, at = self._theme, now.poses[:, :3]
         first, second = np.nonzero(np.triu(now.weights, 1) > 0)
@@ -172,8 +190,8 @@ class Painter:
         middle = (at[eyes] + at[seen]) / 2
         halves = clipped(lens, np.stack([np.stack([at[eyes], middle], 1), np.stack([middle, at[seen]], 1)], 1))
         lines, depth = project(lens, halves)
-        behind = depth.mean(axis=-1) + 0.4  # robots stand before their own links
-        widths = (FINE * (0.7 if self._crowd else 1.0) * (0.8 + 2.0 * now.weights[first, second])).round().astype(int)
+        behind = depth.mean(axis=-1) + (3.0 if self._crowd else 0.4)  # robots stand before their own links
+        widths = (FINE * (0.5 if self._crowd else 1.0) * (0.8 + 2.0 * now.weights[first, second])).round().astype(int)
         jobs = []
         for k, (ends, far, width) in enumerate(zip(lines.tolist(), behind.tolist(), widths.tolist(), strict=True)):
             mutual, alarm = kinds[k] == sight.MUTUAL, (int(first[k]), int(second[k])) in weak
@@ -184,7 +202,7 @@ class Painter:
                 jobs.append((distance, _line, color, a, b, width))
             if not mutual and depth[k].min() > NEAR:
                 head = _head(pixels[eyes[k]], pixels[seen[k]], float(radii[seen[k]]), width)
-                jobs.append((far[1] - 0.39, _fill_outlined, color, theme.page, head.tolist()))
+                jobs.append((far[1] - 0.3, _fill_outlined, color, theme.page, head.tolist()))
         return jobs
 
     def _robots(self, lens: Lens, at: np.ndarray, attitude: np.ndarray, half: np.ndarray, now: Instant) -> list[tuple]:
@@ -196,9 +214,9 @@ class Painter:
             if near[i] <= NEAR:
                 continue
             color = self.colors[i] if now.alive[i] else theme.faint
-            nose = color if now.sees[i] else theme.page
+            nose, body = color if now.sees[i] else theme.page, theme.text if now.alive[i] else theme.faint
             ring = rings[i].tolist() if i == self._leader else []
-            jobs.append((float(depth[i].mean()), _robot, color, nose, theme, shape, ring))
+            jobs.append((float(depth[i].mean()), _robot, color, nose, body, theme.page, shape, ring))
         return jobs
 
     def _points(self, lens: Lens, now: Instant, stage: Stage, size: float) -> list[tuple]:
@@ -210,21 +228,29 @@ class Painter:
             if far > NEAR:
                 jobs.append((far, _fill_outlined, color, theme.page, (star + 0.8 * size * shapes3d.STAR).tolist()))
         dots, depth = project(lens, now.ranges)
-        jobs += [(far, _dot, theme.text, dot) for dot, far in zip(dots.tolist(), (depth - 0.5).tolist(), strict=True) if far > NEAR]
+        jobs += [
+            (far, _dot, theme.text, dot)
+            for dot, far in zip(dots.tolist(), (depth - 0.5).tolist(), strict=True)
+            if far > NEAR
+        ]
         return jobs
 
-    def _paint_stick(self, surface: pygame.Surface, lens: Lens, leader: np.ndarray, stick: np.ndarray, size: float) -> None:
+    def _paint_stick(
+        self, surface: pygame.Surface, lens: Lens, leader: np.ndarray, stick: np.ndarray, size: float
+    ) -> None:
         ends, depth = project(lens, np.stack([leader, leader + 2.5 * stick]))
         if depth.min() > NEAR:
-            _fill_outlined(surface, self._theme.leader, self._theme.page, shapes3d.arrow(*ends, 0.55 * size).tolist())
+            _fill_outlined(
+                surface, self._theme.leader, self._theme.page, shapes3d.arrow(ends[0], ends[1], 0.55 * size).tolist()
+            )
 
 
 def _head(eye: np.ndarray, seen: np.ndarray, radius: float, width: int) -> np.ndarray:
-    """The head (3, 2) of an arrow from one robot to another, short of the latter's radius; width: the line's. Pixels."""
+    """The head (3, 2) of an arrow from one robot to another, short of the latter's radius; width, the line's. In px."""
     along = seen - eye
     length = max(float(np.hypot(along[0], along[1])), 1e-6)
     along = along / length
-    long = min(6.0 * FINE + width, 0.35 * length)
+    long = min(3.5 * FINE + 1.7 * width, 0.35 * length)
     tip = seen - min(1.25 * radius, 0.4 * length) * along
     side = 0.5 * long * np.array([-along[1], along[0]])
     return np.array([tip, tip - long * along + side, tip - long * along - side])
@@ -261,16 +287,16 @@ def _dot(surface: pygame.Surface, color: str, at: list[float]) -> None:
     pygame.draw.circle(surface, color, at, 1.5 * FINE)
 
 
-def _robot(surface: pygame.Surface, color: str, nose: str, theme: Theme, shape: list, ring: list) -> None:
+def _robot(surface: pygame.Surface, color: str, nose: str, body: str, edge: str, shape: list, ring: list) -> None:
     """A quadrotor whose corners are `QUADROTOR`'s; `ring` marks the leader."""
     if ring:
         pygame.draw.polygon(surface, color, ring, FINE)
     hubs = shape[shapes3d.ARMS]
-    pygame.draw.line(surface, theme.text, hubs[0], hubs[2], FINE)
-    pygame.draw.line(surface, theme.text, hubs[1], hubs[3], FINE)
+    pygame.draw.line(surface, body, hubs[0], hubs[2], FINE)
+    pygame.draw.line(surface, body, hubs[1], hubs[3], FINE)
     for k in range(4):
         rotor = shape[12 * k : 12 * k + 12]
         pygame.draw.polygon(surface, color, rotor)
-        pygame.draw.lines(surface, theme.page, True, rotor, 1)
-    _fill_outlined(surface, nose, color if nose == theme.page else theme.page, shape[shapes3d.NOSE])
-    pygame.draw.polygon(surface, theme.text, shape[shapes3d.BODY])
+        pygame.draw.lines(surface, edge, True, rotor, 1)
+    _fill_outlined(surface, nose, color if nose == edge else edge, shape[shapes3d.NOSE])
+    pygame.draw.polygon(surface, body, shape[shapes3d.BODY])

@@ -91,4 +91,5 @@ def clipped(lens: Lens, segments: np.ndarray) -> np.ndarray:
     share = np.where(a == b, 0.0, a / np.where(a == b, 1.0, a - b))
     crossing = segments[..., 0, :] + share * (segments[..., 1, :] - segments[..., 0, :])
     ends = np.where(depth[..., None] < 0.0, crossing[..., None, :], segments)
-    return np.where((depth < 0.0).all(axis=-1)[..., None, None], lens.eye + NEAR * lens.forward - 1e3 * lens.axes[:, 1], ends)
+    ends[(depth < 0.0).all(axis=-1)] = lens.eye + NEAR * lens.forward - 1e3 * lens.axes[:, 1]  # out of the picture
+    return ends

@@ -70,8 +70,8 @@ class Strip:
         words = type_.words(f"λ₂ {now.lambda2:.2f}", theme.truth, bold=True)
         title = type_.put(page, words, (left.left, left.top - type_.line))
         note = "estimates in the robots' colours, last 30 s"
-        if title.left + 6 * type_.line + type_.width(note) < left.right:
-            type_.put(page, type_.words(note, theme.faint), (title.left + 6 * type_.line, title.top))
+        if title.left + 5 * type_.line + type_.width(note) < left.right:
+            type_.put(page, type_.words(note, theme.faint), (title.left + 5 * type_.line, title.top))
         words = type_.words(f"links {np.count_nonzero(now.weights) // 2}", theme.one_way, bold=True)
         type_.put(page, words, (right.left, right.top - type_.line))
         self._tick(page, type_, left, self._bound, math.sqrt(self._bound / self._top), "min")

@@ -57,7 +57,12 @@ class Typesetter:
         x, y = at
         w, h = words.get_size()
         inside = surface.get_clip()
-        for left, top in ((x - w / 2, y - gap - h), (x + gap, y - h / 2), (x - gap - w, y - h / 2), (x - w / 2, y + gap)):
+        for left, top in (
+            (x - w / 2, y - gap - h),
+            (x + gap, y - h / 2),
+            (x - gap - w, y - h / 2),
+            (x - w / 2, y + gap),
+        ):
             place = pygame.Rect(round(left), round(top), w, h)
             if inside.contains(place) and place.collidelist(self.taken) < 0:
                 self.put(surface, words, place.topleft)

@@ -11,7 +11,7 @@ from fovconn_env.render.aim import Aim, Look, plan_lens
 from fovconn_env.render.history import History
 from fovconn_env.render.instant import Instant, instant
 from fovconn_env.render.key import draw_key
-from fovconn_env.render.notices import FALL_TIME, notices, weak_links
+from fovconn_env.render.notices import FALL_TIME, Alarm, notices
 from fovconn_env.render.page import divide, text_height
 from fovconn_env.render.painter import Marks, Painter
 from fovconn_env.render.palette import THEMES, leader_of, mixed
@@ -62,11 +62,10 @@ class View:
         """The first world now, on a surface that the next call draws on again."""
         now = instant(simulator)
         if now.key != self._stage_key:
-            self._stage, self._stage_key = Stage(simulator, now), now.key
+            self._stage, self._stage_key, self._alarm = Stage(simulator, now), now.key, Alarm()
         self._history.add(now)
-        weak = weak_links(now, self._history.weights(now.time - FALL_TIME))
+        weak = self._alarm.update(now, self._history.weights(now.time - FALL_TIME))
         page = divide(self.size, self._type.line, above=self.look.above and self.look.camera != "top")
-        self._fine.fill(self._colors.page)
         marks = [self._paint(place, now, weak, k > 0) for k, place in enumerate(page[:2]) if place.width]
         free = self._page.subsurface((0, 0, self.size[0], page.world.height))
         pygame.transform.smoothscale(self._fine, free.get_size(), free)
@@ -76,8 +75,13 @@ class View:
         self._strip.letter(self._page, page.strip.topleft, now, self._type)
         self._letter(page.world, now, notices(now, weak, self._scenario))
         for k, (mark, place) in enumerate(zip(marks, page[:2], strict=False)):
-            self._label(place, mark, now, weak, named=k == 0)
+            self._label(place, mark, now, weak, small=k == 1)
         return self._page
+
+    def draw_array(self, simulator: Simulator) -> np.ndarray:
+        """The same as an array of its own, (height, width, 3) uint8."""
+        pixels = bytearray(pygame.image.tobytes(self.draw(simulator), "RGB"))
+        return np.frombuffer(pixels, np.uint8).reshape(self.size[1], self.size[0], 3)
 
     def _paint(self, place: pygame.Rect, now: Instant, weak: list[tuple[int, int]], above: bool) -> Marks:
         """Draw the world in a place of the page, 3-D or from above."""
@@ -87,12 +91,13 @@ class View:
         lens = plan_lens(now, size) if above else self._aim.lens(look, now, size)
         middle = now.poses[:, :2].mean(0)
         team = float(np.hypot(*(now.poses[:, :2] - middle).T).max())
+        panel.fill(self._colors.ground if lens.parallel else self._colors.page)
         if lens.parallel:
-            panel.fill(self._colors.ground)
-            radius = math.hypot(*size) / lens.focal
+            radius, shown = math.hypot(*size) / lens.focal, size[0] / lens.focal
         else:
-            radius = max(1.4 * team + 4.0, 14.0)
-        self._painter.paint_ground(panel, lens, middle, radius, floor, _grid(radius))
+            radius = shown = max(1.4 * team + 4.0, 14.0)
+        grid = 2.0 if shown < 26.0 else 5.0
+        self._painter.paint_ground(panel, lens, middle, radius, floor, grid)
         least = FINE * (place.height / 31 if self._scenario.n_agents <= 12 else place.height / 60)
         marks = self._painter.paint(
             panel,
@@ -106,7 +111,7 @@ class View:
         )
         if above:
             pygame.draw.line(panel, self._colors.page, (0, 0), (0, size[1]), 4 * FINE)
-        return marks
+        return marks._replace(grid=grid)
 
     def _letter(self, place: pygame.Rect, now: Instant, warnings: list[str]) -> None:
         """Title, the overlay's lines below it, and warnings at the lower left."""
@@ -128,15 +133,21 @@ class View:
             type_.taken.append(box)
             bottom = box.top - 4
 
-    def _label(self, place: pygame.Rect, marks: Marks, now: Instant, weak: list[tuple[int, int]], *, named: bool) -> None:
-        """Numbers of robots and way points, the leader and the ends of weak links first; what has no room is left out."""
+    def _label(
+        self, place: pygame.Rect, marks: Marks, now: Instant, weak: list[tuple[int, int]], *, small: bool
+    ) -> None:
+        """Numbers of robots and way points, the leader and weak links' ends first; those without room are left out."""
         theme, leader = self._colors, leader_of(self._scenario)
         self._page.set_clip(place)
+        scale = self._type.words(f"grid {marks.grid:g} m", theme.faint, halo=theme.page)
+        corner = (place.right - scale.get_width() - 6, place.bottom - scale.get_height() - 3)
+        self._type.put(self._page, scale, corner)
         urgent = {i for pair in weak for i in pair}
         order = sorted(range(len(marks.robots)), key=lambda i: (i != leader, i not in urgent, i))
-        for i in order:
+        few = small and self._scenario.n_agents > 12
+        for i in order[:1] if few else order:
             color = self._painter.colors[i] if now.alive[i] else theme.faint
-            text = f"{i + 1} leader" if i == leader and named else str(i + 1)
+            text = f"{i + 1} leader" if i == leader and not small else str(i + 1)
             words = self._type.words(text, color, halo=theme.page, bold=True)
             self._type.label(self._page, words, marks.robots[i] / FINE + place.topleft, 1.15 * marks.radii[i] / FINE)
         for k, at in enumerate(marks.waypoints):
@@ -144,8 +155,3 @@ class View:
             words = self._type.words(f"P{k + 1}", color, halo=theme.page, bold=True)
             self._type.label(self._page, words, at / FINE + place.topleft, 0.6 * self._type.line)
         self._page.set_clip(None)
-
-
-def _grid(radius: float) -> float:
-    """Distance of grid lines, m."""
-    return 2.0 if radius < 26.0 else 5.0
