@@ -31,7 +31,7 @@ class Instant(NamedTuple):
     outcome: str  # "" while it flies
 
 
-def instant(simulator: Simulator) -> Instant:
+def instant_of(simulator: Simulator) -> Instant:
     """The first world as it is; nothing of the simulator changes, and nothing of it is kept."""
     state, scenario = simulator.state, simulator.scenario
     body, episode, poses = state.body[0], state.episode[0], simulator.poses()[0]

@@ -23,7 +23,7 @@ class Strip:
 
     def __init__(self, size: tuple[int, int], line: int, theme: Theme, colors: list[str], bound: float) -> None:
         """size: px; line: height of a line of text, px; colors: the robots'; bound: lambda2_min."""
-        self._theme, self._bound, self._size = theme, bound, size
+        self._theme, self._bound, self._size, self._line = theme, bound, size, line
         share = 1.0 if len(colors) <= 12 else 0.45
         self._colors = [mixed(color, theme.panel, share) for color in colors]
         wide, height = round(0.66 * size[0]), size[1] - round(1.4 * line)
@@ -82,10 +82,10 @@ class Strip:
 
     def _ticks(self) -> list[float]:
         """Ticks of lambda2 far enough from each other, px, on the axis of square roots."""
-        found, last = [], 0.0
+        found, last = [], math.sqrt(self._bound / self._top) * self._left.height
         for tick in (t for t in _TICKS if t <= self._top):
             at = math.sqrt(tick / self._top) * self._left.height
-            if at - last >= 18:
+            if at - last >= self._line + 2:
                 found.append(tick)
                 last = at
         return found

@@ -8,13 +8,13 @@ import numpy as np
 import pygame
 
 from fovconn_env.render.aim import Aim, Look, plan_lens
+from fovconn_env.render.alarm import FALL_TIME, Alarm, notices
 from fovconn_env.render.history import History
-from fovconn_env.render.instant import Instant, instant
+from fovconn_env.render.instant import Instant, instant_of
 from fovconn_env.render.key import draw_key
-from fovconn_env.render.notices import FALL_TIME, Alarm, notices
-from fovconn_env.render.page import divide, text_height
 from fovconn_env.render.painter import Marks, Painter
 from fovconn_env.render.palette import THEMES, leader_of, mixed
+from fovconn_env.render.places import divide, text_height
 from fovconn_env.render.stage import Stage
 from fovconn_env.render.strip import FINE, Strip
 from fovconn_env.render.text import Typesetter
@@ -60,7 +60,7 @@ class View:
 
     def draw(self, simulator: Simulator) -> pygame.Surface:
         """The first world now, on a surface that the next call draws on again."""
-        now = instant(simulator)
+        now = instant_of(simulator)
         if now.key != self._stage_key:
             self._stage, self._stage_key, self._alarm = Stage(simulator, now), now.key, Alarm()
         self._history.add(now)
@@ -129,7 +129,7 @@ class View:
             box = pygame.Rect(x, bottom - words.get_height() - 6, words.get_width() + 18, words.get_height() + 6)
             pygame.draw.rect(page, mixed(theme.warning, theme.page, 0.16), box, border_radius=4)
             pygame.draw.rect(page, theme.warning, (box.left, box.top, 4, box.height), border_radius=2)
-            type_.put(page, words, (box.left + 11, box.top + 3))
+            page.blit(words, (box.left + 11, box.top + 3))
             type_.taken.append(box)
             bottom = box.top - 4
 
