@@ -61,15 +61,15 @@ def scale_at(lens: Lens, depth: np.ndarray) -> np.ndarray:
 
 def in_front(lens: Lens, polygon: np.ndarray) -> np.ndarray:
     """The part of a polygon (n, 3) that is not nearer to the eye than NEAR, (m, 3); m is 0 where nothing is."""
-    depth = (polygon - lens.eye) @ lens.forward - NEAR
-    if depth.min() >= 0.0:
+    side = (polygon - lens.eye) @ lens.forward - NEAR
+    if side.min() >= 0.0:
         return polygon
     corners = []
     for k in range(len(polygon)):
-        a, b, da, db = polygon[k - 1], polygon[k], depth[k - 1], depth[k]
-        if (da < 0.0) != (db < 0.0):
-            corners.append(a + da / (da - db) * (b - a))
-        if db >= 0.0:
+        a, b, here, there = polygon[k - 1], polygon[k], side[k - 1], side[k]
+        if (here < 0.0) != (there < 0.0):
+            corners.append(a + here / (here - there) * (b - a))
+        if there >= 0.0:
             corners.append(b)
     return np.array(corners).reshape(-1, 3)
 

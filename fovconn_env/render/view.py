@@ -80,8 +80,11 @@ class View:
 
     def draw_array(self, simulator: Simulator) -> np.ndarray:
         """The same as an array of its own, (height, width, 3) uint8."""
-        pixels = bytearray(pygame.image.tobytes(self.draw(simulator), "RGB"))
-        return np.frombuffer(pixels, np.uint8).reshape(self.size[1], self.size[0], 3)
+        width, height = self.size
+        rgb = pygame.Surface(self.size, 0, 24, (0xFF, 0xFF00, 0xFF0000, 0))  # a byte a colour, red first
+        rgb.blit(self.draw(simulator), (0, 0))
+        rows = np.frombuffer(rgb.get_buffer().raw, np.uint8).reshape(height, rgb.get_pitch())
+        return rows[:, : 3 * width].reshape(height, width, 3).copy()
 
     def _paint(self, place: pygame.Rect, now: Instant, weak: list[tuple[int, int]], above: bool) -> Marks:
         """Draw the world in a place of the page, 3-D or from above."""
@@ -89,13 +92,12 @@ class View:
         panel = self._fine.subsurface([FINE * side for side in place])
         size = panel.get_size()
         lens = plan_lens(now, size) if above else self._aim.lens(look, now, size)
-        middle = now.poses[:, :2].mean(0)
+        middle = (now.poses[:, :2].min(0) + now.poses[:, :2].max(0)) / 2
         team = float(np.hypot(*(now.poses[:, :2] - middle).T).max())
-        panel.fill(self._colors.ground if lens.parallel else self._colors.page)
         if lens.parallel:
-            radius, shown = math.hypot(*size) / lens.focal, size[0] / lens.focal
+            radius, shown = math.hypot(*size) / 2 / lens.focal, size[0] / lens.focal
         else:
-            radius = shown = max(1.4 * team + 4.0, 14.0)
+            radius = shown = max(1.5 * team + 5.0, 16.0)
         grid = 2.0 if shown < 26.0 else 5.0
         self._painter.paint_ground(panel, lens, middle, radius, floor, grid)
         least = FINE * (place.height / 31 if self._scenario.n_agents <= 12 else place.height / 60)
