@@ -119,12 +119,12 @@ class View:
         """Title, the overlay's lines below it, and warnings at the lower left."""
         theme, type_, page = self._colors, self._type, self._page
         x, y = place.left + type_.line // 2, place.top + type_.line // 3
-        title = type_.put(page, type_.words(self._scenario.name, theme.text, halo=theme.page, bold=True), (x, y))
+        title = type_.put(page, type_.words(self._scenario.name, theme.text, halo=theme.ground, bold=True), (x, y))
         clock = f"{now.time:.1f} s   {now.outcome}".rstrip()
-        type_.put(page, type_.words(clock, theme.text, halo=theme.page), (title.right + type_.line, y))
+        type_.put(page, type_.words(clock, theme.text, halo=theme.ground), (title.right + type_.line, y))
         for line in self.overlay:
             y += type_.line + 2
-            type_.put(page, type_.words(line, theme.text, halo=theme.page), (x, y))
+            type_.put(page, type_.words(line, theme.text, halo=theme.ground), (x, y))
         bottom = place.bottom - type_.line // 2
         for line in reversed(warnings):
             words = type_.words(line, theme.text)
@@ -141,7 +141,7 @@ class View:
         """Numbers of robots and way points, the leader and weak links' ends first; those without room are left out."""
         theme, leader = self._colors, leader_of(self._scenario)
         self._page.set_clip(place)
-        scale = self._type.words(f"grid {marks.grid:g} m", theme.faint, halo=theme.page)
+        scale = self._type.words(f"grid {marks.grid:g} m", theme.faint, halo=theme.ground)
         corner = (place.right - scale.get_width() - 6, place.bottom - scale.get_height() - 3)
         self._type.put(self._page, scale, corner)
         urgent = {i for pair in weak for i in pair}
@@ -150,10 +150,10 @@ class View:
         for i in order[:1] if few else order:
             color = self._painter.colors[i] if now.alive[i] else theme.faint
             text = f"{i + 1} leader" if i == leader and not small else str(i + 1)
-            words = self._type.words(text, color, halo=theme.page, bold=True)
+            words = self._type.words(text, color, halo=theme.ground, bold=True)
             self._type.label(self._page, words, marks.robots[i] / FINE + place.topleft, 1.15 * marks.radii[i] / FINE)
         for k, at in enumerate(marks.waypoints):
             color = theme.operator if k >= now.waypoint else theme.faint
-            words = self._type.words(f"P{k + 1}", color, halo=theme.page, bold=True)
+            words = self._type.words(f"P{k + 1}", color, halo=theme.ground, bold=True)
             self._type.label(self._page, words, at / FINE + place.topleft, 0.6 * self._type.line)
         self._page.set_clip(None)
