@@ -110,7 +110,7 @@ def test_importing_the_environment_loads_nothing_heavy():
     loaded = set(run.stdout.split())
     assert "fovconn_env" in loaded
     # scipy comes with numba where it is installed
-    assert not loaded & {"torch", "stable_baselines3", "matplotlib", "PIL", "training", "typer", "rich"}
+    assert not loaded & {"torch", "stable_baselines3", "matplotlib", "PIL", "pygame", "training", "typer", "rich"}
 
 
 def functions(file):
