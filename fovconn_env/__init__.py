@@ -14,6 +14,7 @@ import pettingzoo
 from fovconn_env.corridor import Corridor
 from fovconn_env.flight import Flight
 from fovconn_env.graph import Graph
+from fovconn_env.leader import Recorded
 from fovconn_env.maps import Forest, Map
 from fovconn_env.parallel import ParallelEnv, env, parallel_env, raw_env
 from fovconn_env.scenarios import LEVELS, PRESETS, Scenario, scenario
@@ -54,6 +55,7 @@ __all__ = [
     "PowerIteration",
     "Radio",
     "Rangefinder",
+    "Recorded",
     "Reward",
     "Scenario",
     "Simulator",

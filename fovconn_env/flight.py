@@ -76,7 +76,8 @@ def fly(
 
 def world_stick(simulator: Simulator) -> np.ndarray:
     """The operator's velocity in the next step of the first world, (3,) m/s, world frame."""
-    episode, leader = simulator.state.episode[0], simulator.state.body[0, simulator.scenario.leader_index]
+    episode = simulator.state.episode[0]
+    leader = simulator.state.body[0, episode["leader"]]
     x, y, z = episode["stick_x"], episode["stick_y"], episode["stick_z"]
     c, s = leader["cos_yaw"], leader["sin_yaw"]
     return np.array([c * x - s * y, s * x + c * y, z])
