@@ -32,9 +32,9 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _check_index(field: str, value: object, count: int) -> None:
+def _check_index(field: str, value: object, count: int, what: str) -> None:
     inside = isinstance(value, (int, np.integer)) and not isinstance(value, bool) and 0 <= value < count
-    rule(bool(inside), field, f"in 0..{count - 1}", value, "counted from 0")
+    rule(bool(inside), field, f"in 0..{count - 1}", value, f"{what} are counted from 0")
 
 
 class Simulator:
@@ -62,7 +62,7 @@ class Simulator:
         for name in ("n_agents", "course.legs"):
             here, there = attrgetter(name)(scenario), attrgetter(name)(rules)
             rule(there == here, f"starts.{name}", f"the scenario's ({here})", there, "a start must fit the flight")
-        self.scenario, self.n_worlds = scenario, n_worlds
+        self.scenario, self.starts, self.n_worlds = scenario, rules, n_worlds
         self.max_cycles = scenario.max_cycles
         self.params = scenario.params()
         self.world, self.state = allocate(scenario, n_worlds, 1, 1)
@@ -118,7 +118,7 @@ class Simulator:
         """The observations as a graph of world b, or of all worlds side by side; of what is true, see `adjacency`."""
         if b is None:
             return observed_graph(self.state, slice(None))
-        _check_index("b", b, self.n_worlds)
+        _check_index("b", b, self.n_worlds, "worlds")
         return observed_graph(self.state, slice(b, b + 1))
 
     def privileged(self) -> np.ndarray:
@@ -260,9 +260,9 @@ class Simulator:
         is not there, for a dead robot, and where there is no leader.
         """
         rule(self.leader != "none", "Simulator.leader", "any but none to lead", "none", "nobody holds a stick")
-        _check_index("robot", robot, self.scenario.n_agents)
+        _check_index("robot", robot, self.scenario.n_agents, "robots")
         if world is not None:
-            _check_index("world", world, self.n_worlds)
+            _check_index("world", world, self.n_worlds, "worlds")
         chosen = ~self.over & (True if world is None else np.arange(self.n_worlds) == world)
         dead = chosen & ~self.state.body["alive"][:, robot]
         if dead.any():
