@@ -103,19 +103,28 @@ def results_table(name: str) -> str:
 
 
 def levels_table(name: str) -> str:
-    """The Markdown table of a scenario's levels: settings, and what each policy keeps and finishes; or "run"."""
+    """The Markdown table of a scenario's levels: settings, and what each policy keeps and finishes.
+
+    name: "run" for a line of text instead, a scenario, or a scenario and "lambda2" for what its estimates are worth and
+    what their messages weigh, by power iteration and by flooding.
+    """
     report = json.loads((ROOT / "docs" / "results" / "levels.json").read_text("utf-8"))
     if name == "run":
         return _run_line(report)
-    rows, policies = [], list(report["levels"][name][0]["policies"])
-    for number, level in enumerate(report["levels"][name], start=1):
+    name, _, what = name.partition(" ")
+    rows, levels = [], report["levels"][name]
+    policies = ["expert", "expert-flooding"] if what else list(levels[0]["policies"])
+    for number, level in enumerate(levels, start=1):
         settings = " ".join(f"`{setting}={value}`" for setting, value in level["changes"].items()) or "-"
-        shares = [
-            f"{100 * found['never_disconnected']:.0f} / {100 * found['success']:.0f}"
-            for found in (level["policies"][policy] for policy in policies)
-        ]
-        rows.append([f"{number}", settings, f"{level['episodes']}", *shares])
+        found = [level["policies"][policy] for policy in policies]
+        if what:
+            cells = [f"{each['bytes_per_second']:,.0f}" for each in found]
+            cells += [f"{100 * each['lambda2_error_median']:.2g} %" for each in found]
+        else:
+            cells = [f"{100 * each['never_disconnected']:.0f} / {100 * each['success']:.0f}" for each in found]
+        rows.append([f"{number}", settings, f"{level['episodes']}", *cells])
     head = [f"{policy} †" if find_policy(policy).oracle else policy for policy in policies]
+    head = [f"{quantity}, {policy}" for quantity in ("B/s", "error") for policy in head] if what else head
     return _markdown(["level", "settings", "episodes", *head], rows)
 
 

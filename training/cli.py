@@ -27,6 +27,7 @@ from training.bench.timing import GROUPS, INSTALLED, agenda, run
 from training.evaluation import Evaluation, summary
 from training.evaluation.campaign import DEV_SEEDS, SUITES, Cell, Interrupted, fly_cells, parse_seeds, suite
 from training.evaluation.comparison import Comparison, overall_table, scenario_table
+from training.evaluation.measures import card
 from training.evaluation.results import publish, short, write_json
 
 app = typer.Typer(
@@ -119,7 +120,7 @@ def evaluate_command(
 def _show(comparison: Comparison) -> None:
     """Tables of what was flown: in full for one policy on one scenario, else side by side."""
     if len(comparison.results) == 1:
-        out.print(_table(next(iter(comparison.results.values())).evaluation))
+        out.print(_card(next(iter(comparison.results.values())).evaluation))
         return
     tables = {}
     for name in comparison.scenarios:
@@ -158,7 +159,7 @@ def demo(
         flight, result = fly_once(policy, chosen, seed, lambda step: bar.update(task, completed=step))
         bar.update(task, total=len(flight.time) - 1, completed=len(flight.time) - 1)
         pictures = draw(flight, folder, animation=animation, bar=bar)
-    out.print(_table(result))
+    out.print(_card(result))
     out.print(f"outcome: {flight.outcome} after {flight.time[-1]:.1f} s; pictures:")
     for picture in pictures:
         out.print(f"  {picture}", highlight=False, soft_wrap=True)
@@ -321,43 +322,11 @@ def _warm_up(bar: Progress, chosen: Scenario, policy: str) -> None:
     bar.update(task, total=1, completed=1, description="loaded")
 
 
-_ROWS = (
-    ("never disconnected", "never_disconnected", "share"),
-    ("success", "success", "share"),
-    ("collision", "collision", "share"),
-    ("time connected", "connected_share", ".2%"),
-    ("lambda2, least (mean over episodes)", "min_lambda2", ".3f"),
-    ("lambda2, mean (clipped at lambda2_max)", "mean_lambda2", ".3f"),
-    ("leader's progress (achieved / pushed)", "progress", ".3f"),
-    ("duration, s", "duration", ".1f"),
-    ("links lost per minute", "links_lost_per_minute", ".1f"),
-    ("pairs in mutual / one-way view", ("mutual_share", "one_way_share"), ".0%"),
-    ("least separation, m (worst episode)", "least_separation", ".2f"),
-    ("lambda2_hat relative error, p50 / p95", ("lambda2_error_median", "lambda2_error_p95"), ".2%"),
-    ("sin(yaw error / 2), rms, mutual / one-way", ("yaw_rms_mutual", "yaw_rms_one_way"), ".4f"),
-    ("yaw valid, share of mutual / one-way time", ("yaw_valid_mutual", "yaw_valid_one_way"), ".1%"),
-    ("bytes sent per robot and second", "bytes_per_second", ",.0f"),
-)
-
-
-def _table(result: Evaluation) -> Table:
-    report = summary(result)
+def _card(result: Evaluation) -> Table:
     count = len(result.seeds)
     title = f"{result.policy} on {result.scenario.name}, {count} episode{'s' if count > 1 else ''}"
-    table = Table(title=title, title_justify="left")
-    table.add_column("measure")
-    table.add_column("value", justify="right")
-    table.add_column("95 % interval", justify="right")
-    for label, names, form in _ROWS:
-        keys = (names,) if isinstance(names, str) else names
-        interval = ""
-        if form == "share":
-            low, high = report[f"{names}_interval"]
-            form, interval = ".1%", f"{low:.1%} to {high:.1%}"
-        values = [report[key] for key in keys]
-        shown = " / ".join("-" if value != value else format(value, form) for value in values)
-        table.add_row(label, shown, interval)
-    return table
+    _, rows = card({"value": summary(result)})
+    return _grid(title, ["measure", "value [95 % interval]" if count > 1 else "value"], rows)
 
 
 def _width(head: list[str], rows: list[list[str]]) -> int:
