@@ -166,6 +166,35 @@ def demo(
 
 
 @app.command()
+def play(
+    policy: PolicyName = "expert",
+    scenario_name: ScenarioName = "LeaderFollow-v0",
+    seed: Annotated[int, typer.Option(help="Seed of the first flight.", min=0)] = 0,
+    record_file: Annotated[
+        Path | None,
+        typer.Option("--record", metavar="FILE", help="Record the first flight here, .npz; later ones as FILE-2, ..."),
+    ] = None,
+    theme: Annotated[str, typer.Option(help="light or dark.")] = "light",
+    size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the window, pixels.")] = "1280x720",
+    fps: Annotated[int, typer.Option(help="Pictures a second, at most.", min=5, max=240)] = 60,
+    settings: Settings = None,
+) -> None:
+    """Fly the leader, or any other robot, yourself: in a window, with keyboard or gamepad. H shows the keys.
+
+    The policy flies all others, and how the leader looks around and avoids things while you pull it. Needs a display.
+    """
+    from training.play.options import open_session, parse_size
+
+    _check_writable({"--record": record_file})
+    wide, changes = parse_size(size, theme), _parse(settings)
+    with err.status("loading (compiles once, ~20 s)"):
+        fly, session = open_session(scenario_name, policy, seed, changes, record_file)
+    fly(session, size=wide, theme=theme, fps=fps)
+    for file in session.files:
+        out.print(f"wrote {file}", highlight=False, soft_wrap=True)
+
+
+@app.command()
 def bench(
     peers: Annotated[list[str] | None, typer.Argument(metavar="[PEER]...", help="More peers for --against.")] = None,
     against: Annotated[

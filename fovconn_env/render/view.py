@@ -26,9 +26,10 @@ LEAST = (320, 240)  # px, no page is smaller
 
 
 class View:
-    """Draws a simulator's first world again and again. `look` and `overlay` may be changed between pictures.
+    """Draws a simulator's first world again and again. `look`, `overlay` and `pilot` may be changed between pictures.
 
-    look: camera, and what is shown. overlay: lines of text for the upper left corner, under the title.
+    look: camera, and what is shown. overlay: lines of text for the upper left corner, under the title. pilot: the robot
+    that the person in front of the picture flies.
     """
 
     def __init__(
@@ -37,6 +38,8 @@ class View:
         self._scenario = scenario
         self.look = look or Look()
         self.overlay: list[str] = []
+        self.pilot: int | None = None
+        self._leader = leader_of(scenario)
         self._history = History(scenario.n_agents, scenario.step_time)
         self._aim, self._stage_key = Aim(scenario.leader_index), -1
         self.set_page(size, theme)
@@ -49,7 +52,7 @@ class View:
         self.theme = theme or self.theme
         self._colors = THEMES[self.theme]
         self._type = Typesetter(text_height(self.size))
-        self._painter = Painter(self._scenario, self._colors)
+        self._painter = Painter(self._scenario, self._colors, self._leader)
         self._page = pygame.Surface(self.size, 0, 32)
         page, scenario = divide(self.size, self._type.line, above=True), self._scenario
         operated = leader_of(scenario) is not None
@@ -58,9 +61,17 @@ class View:
         self._strip = Strip(page.strip.size, self._type.line, self._colors, self._painter.colors, bound)
         self._fine = pygame.Surface((FINE * self.size[0], FINE * page.world.height), 0, 32)
 
+    @property
+    def distance(self) -> float:
+        """Of the eye from what it looks at in the last picture, m."""
+        return self._aim.distance
+
     def draw(self, simulator: Simulator) -> pygame.Surface:
         """The first world now, on a surface that the next call draws on again."""
         now = instant_of(simulator)
+        if self._leader not in (None, now.leader):
+            self._leader = self._aim.leader = now.leader
+            self.set_page(self.size)
         if now.key != self._stage_key:
             self._stage, self._stage_key, self._alarm = Stage(simulator, now), now.key, Alarm()
         self._history.add(now)
@@ -139,7 +150,7 @@ class View:
         self, place: pygame.Rect, marks: Marks, now: Instant, weak: list[tuple[int, int]], *, small: bool
     ) -> None:
         """Numbers of robots and way points, the leader and weak links' ends first; those without room are left out."""
-        theme, leader = self._colors, leader_of(self._scenario)
+        theme, leader = self._colors, self._leader
         self._page.set_clip(place)
         scale = self._type.words(f"grid {marks.grid:g} m", theme.faint, halo=theme.ground)
         corner = (place.right - scale.get_width() - 6, place.bottom - scale.get_height() - 3)
@@ -149,7 +160,8 @@ class View:
         few = small and self._scenario.n_agents > 12
         for i in order[:1] if few else order:
             color = self._painter.colors[i] if now.alive[i] else theme.faint
-            text = f"{i + 1} leader" if i == leader and not small else str(i + 1)
+            notes = [f"{i + 1}", "leader" * (i == leader), "you" * (i == self.pilot)]
+            text = notes[0] if small else " ".join(filter(None, notes))
             words = self._type.words(text, color, halo=theme.ground, bold=True)
             self._type.label(self._page, words, marks.robots[i] / FINE + place.topleft, 1.15 * marks.radii[i] / FINE)
         for k, at in enumerate(marks.waypoints):

@@ -1,0 +1,90 @@
+"""What stands on the picture for a while: help, a pause, the score. On a pygame surface."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import pygame
+
+from fovconn_env.render.palette import Theme, mixed
+from fovconn_env.render.places import text_height
+from fovconn_env.render.text import Typesetter
+from training.play import gamepad, keyboard
+from training.play.session import Score
+
+Rows = Sequence[tuple[str, str]]
+_VEIL = 150  # of 255, how much of the picture a panel hides around itself
+_LEAST = 6  # px, smallest letters; a window is at least as large as it takes to read them
+_TITLES = {"fly": "Fly", "team": "Team", "flight": "Flight", "picture": "Picture"}
+
+
+def help_columns() -> list[list[tuple[str, Rows]]]:
+    """Titled tables of all keys, in two columns."""
+    keys = {group: keyboard.rows(group) for group in keyboard.TABLE}
+    pad = [*gamepad.AXES, *((button.name, button.words) for button in gamepad.BUTTONS)]
+    titled = {_TITLES[group]: rows for group, rows in keys.items()} | {"Mouse": keyboard.MOUSE, "Gamepad": pad}
+    return [
+        [(title, titled[title]) for title in column]
+        for column in (("Fly", "Team", "Mouse"), ("Flight", "Picture", "Gamepad"))
+    ]
+
+
+def score_rows(score: Score) -> Rows:
+    """The score for people."""
+    progress = "nobody was pulled" if math.isnan(score.progress) else f"{100 * score.progress:.0f} % of the pull"
+    return [
+        ("time", f"{score.time:.1f} s"),
+        ("progress", progress),
+        ("kept", f"{100 * score.kept:.0f} % of the time together"),
+        ("least λ₂", f"{score.least_lambda2:.3f}"),
+    ]
+
+
+def draw_panel(
+    page: pygame.Surface, theme: Theme, title: str, columns: list[list[tuple[str, Rows]]], foot: str
+) -> None:
+    """A box in the middle of the page, in letters as large as fit; the picture behind it is veiled.
+
+    columns: of titled tables ("" for no title) of two columns each.
+    """
+    size = page.get_size()
+    for height in range(text_height(size), _LEAST - 1, -1):
+        type_ = Typesetter(height)
+        widths = [_widths(type_, column) for column in columns]
+        gap, line = 2 * type_.line, type_.line
+        width = max(sum(a + b + line for a, b in widths) + gap * (len(columns) - 1), type_.width(title, bold=True))
+        width = max(width, type_.width(foot)) + 2 * line
+        tall = max(sum((bool(name) + len(rows)) * line + line // 2 for name, rows in column) for column in columns)
+        tall += 3 * line + line // 2 + (line + line // 2) * bool(foot)
+        if width <= size[0] and tall <= size[1]:
+            break
+    veil = pygame.Surface(size, pygame.SRCALPHA)
+    veil.fill((*pygame.Color(theme.page)[:3], _VEIL))
+    page.blit(veil, (0, 0))
+    box = pygame.Rect((size[0] - width) // 2, (size[1] - tall) // 2, width, tall)
+    pygame.draw.rect(page, theme.page, box, border_radius=6)
+    pygame.draw.rect(page, mixed(theme.text, theme.page, 0.4), box, 1, border_radius=6)
+    x, top = box.left + line, box.top + line // 2 + 2
+    page.blit(type_.words(title, theme.text, bold=True), (x, top))
+    for column, (keys, words) in zip(columns, widths, strict=True):
+        y = top + line + line // 2
+        for name, rows in column:
+            if name:
+                page.blit(type_.words(name, theme.operator, bold=True), (x, y))
+                y += line
+            for left, right in rows:
+                page.blit(type_.words(left, theme.text, bold=True), (x, y))
+                page.blit(type_.words(right, theme.text), (x + keys + line, y))
+                y += line
+            y += line // 2
+        x += keys + words + line + gap
+    if foot:
+        page.blit(type_.words(foot, theme.faint), (box.left + line, box.bottom - line - line // 2))
+
+
+def _widths(type_: Typesetter, column: list[tuple[str, Rows]]) -> tuple[int, int]:
+    """Widths of both columns of tables, px."""
+    rows = [row for _, found in column for row in found]
+    left = max((type_.width(keys, bold=True) for keys, _ in rows), default=0)
+    return left, max((type_.width(words) for _, words in rows), default=0)
