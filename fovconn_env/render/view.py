@@ -40,6 +40,7 @@ class View:
         self.overlay: list[str] = []
         self.pilot: int | None = None
         self._leader = leader_of(scenario)
+        self._last_two: tuple[Instant | None, Instant | None] = None, None
         self._history = History(scenario.n_agents, scenario.step_time)
         self._aim, self._stage_key = Aim(scenario.leader_index), -1
         self.set_page(size, theme)
@@ -66,8 +67,12 @@ class View:
         """Of the eye from what it looks at in the last picture, m."""
         return self._aim.distance
 
-    def draw(self, simulator: Simulator) -> pygame.Surface:
-        """The first world now, on a surface that the next call draws on again."""
+    def draw(self, simulator: Simulator, *, late: float = 0.0) -> pygame.Surface:
+        """The first world now, on a surface that the next call draws on again.
+
+        late: share of a step, from 0 to 1, by which the robots are shown late, between where the last two pictures'
+        steps left them; for more pictures a second than steps.
+        """
         now = instant_of(simulator)
         if self._leader not in (None, now.leader):
             self._leader = self._aim.leader = now.leader
@@ -77,7 +82,8 @@ class View:
         self._history.add(now)
         weak = self._alarm.update(now, self._history.weights(now.time - FALL_TIME))
         page = divide(self.size, self._type.line, above=self.look.above and self.look.camera != "top")
-        marks = [self._paint(place, now, weak, k > 0) for k, place in enumerate(page[:2]) if place.width]
+        shown = self._between(now, late)
+        marks = [self._paint(place, shown, weak, k > 0) for k, place in enumerate(page[:2]) if place.width]
         free = self._page.subsurface((0, 0, self.size[0], page.world.height))
         pygame.transform.smoothscale(self._fine, free.get_size(), free)
         self._type.taken.clear()
@@ -96,6 +102,20 @@ class View:
         rgb.blit(self.draw(simulator), (0, 0))
         rows = np.frombuffer(rgb.get_buffer().raw, np.uint8).reshape(height, rgb.get_pitch())
         return rows[:, : 3 * width].reshape(height, width, 3).copy()
+
+    def _between(self, now: Instant, late: float) -> Instant:
+        """The robots `late` steps before now, if the step before now was drawn."""
+        before, last, step = *self._last_two, self._scenario.step_time
+        if last is None or (last.key, last.time) != (now.key, now.time):
+            follows = last is not None and last.key == now.key and 0.0 < now.time - last.time < 1.5 * step
+            before = last if follows else None
+            self._last_two = before, now
+        if before is None or late == 0.0:
+            return now
+        way = now.poses - before.poses
+        way[:, 3] = (way[:, 3] + math.pi) % (2.0 * math.pi) - math.pi
+        tilt = now.tilt - late * (now.tilt - before.tilt)
+        return now._replace(time=now.time - late * step, poses=now.poses - late * way, tilt=tilt)
 
     def _paint(self, place: pygame.Rect, now: Instant, weak: list[tuple[int, int]], above: bool) -> Marks:
         """Draw the world in a place of the page, 3-D or from above."""

@@ -148,10 +148,14 @@ class Cockpit:
     # ---------------------------------------------------------------------------------------------------------- time
     def advance(self, elapsed: float) -> None:
         """Let `elapsed`, s, go by: fly the steps that are due, unless there is a pause, help or an end."""
-        stands = self.paused or self.helps or self.session.over
-        for _ in range(self.pace.due(elapsed, 0.0 if stands else SLOWER[self._speed])):
+        for _ in range(self.pace.due(elapsed, 0.0 if self.stands else SLOWER[self._speed])):
             self._fly()
         self._left = max(self._left - elapsed, 0.0)
+
+    @property
+    def stands(self) -> bool:
+        """No time goes by in the flight."""
+        return self.paused or self.helps or self.session.over
 
     def say(self, sentence: str) -> None:
         """Show a sentence for a while."""
@@ -176,11 +180,12 @@ class Cockpit:
         view.overlay, view.pilot = self._lines(), session.flown
         panel = self.helps, self.paused, self.reason, self.ended and not self._seen
         shown = session.simulator, session.seed, session.steps, session.leader, str(view.look), view.overlay
-        shown = *shown, view.pilot, view.size, self.theme, panel
+        late = 0.0 if self.stands else 1.0 - min(self.pace.begun, 1.0)
+        shown = *shown, view.pilot, view.size, self.theme, panel, late
         if shown == self._shown:
             return None
         self._shown = shown
-        page, theme = view.draw(session.simulator), THEMES[self.theme]
+        page, theme = view.draw(session.simulator, late=late), THEMES[self.theme]
         if self.helps:
             draw_panel(page, theme, "fovconn play", help_columns(), "")
         elif panel[-1]:

@@ -30,6 +30,11 @@ class Pace:
         return steps
 
     @property
+    def begun(self) -> float:
+        """Share of the next step that has gone by, from 0 to 1."""
+        return self._owed / self._step_time
+
+    @property
     def share(self) -> float:
         """Time flown of the time wished, about the last second."""
         return self._flown / self._wished if self._wished > 0.2 * _MEMORY else 1.0
