@@ -180,8 +180,8 @@ class View:
         few = small and self._scenario.n_agents > 12
         for i in order[:1] if few else order:
             color = self._painter.colors[i] if now.alive[i] else theme.faint
-            notes = [f"{i + 1}", "leader" * (i == leader), "you" * (i == self.pilot)]
-            text = notes[0] if small else " ".join(filter(None, notes))
+            roles = ", ".join(word for word, applies in (("leader", i == leader), ("you", i == self.pilot)) if applies)
+            text = str(i + 1) if small else f"{i + 1} {roles}".rstrip()
             words = self._type.words(text, color, halo=theme.ground, bold=True)
             self._type.label(self._page, words, marks.robots[i] / FINE + place.topleft, 1.15 * marks.radii[i] / FINE)
         for k, at in enumerate(marks.waypoints):

@@ -187,15 +187,15 @@ class Cockpit:
         self._shown = shown
         page, theme = view.draw(session.simulator, late=late), THEMES[self.theme]
         if self.helps:
-            draw_panel(page, theme, "fovconn play", help_columns(), "")
+            draw_panel(page, theme, "fovconn play", help_columns(), veil=225)
         elif panel[-1]:
             score, files = session.score(), f", recorded in {session.files[-1].name}" if session.files else ""
             foot = "Backspace: again   N: next seed   Esc: look"
-            draw_panel(page, theme, _ENDS.get(score.outcome, score.outcome) + files, [[("", score_rows(score))]], foot)
-        elif self.paused:
-            hint = [("Space", "go on"), (".", "a single step"), ("H", "all keys")]
-            reason = [("", [(self.reason, "")])] if self.reason else []
-            draw_panel(page, theme, "Pause", [[*reason, ("", hint)]], "")
+            title = _ENDS.get(score.outcome, score.outcome) + files
+            draw_panel(page, theme, title, [[("", score_rows(score))]], foot=foot)
+        elif self.reason:
+            hint = [("Space", "go on"), ("H", "all keys")]
+            draw_panel(page, theme, "Pause", [[("", hint)]], lead=self.reason)
         return page
 
     def _lines(self) -> list[str]:
@@ -207,7 +207,9 @@ class Cockpit:
         lines = [f"{who}{role}   {session.speed:.2f} of {limit:g} m/s", f"{session.policy}   seed {session.seed}{slow}"]
         if session.full_stick < limit and session.flown is not None:
             lines[0] += f", stick {session.full_stick:g}"
-        return [*lines, *filter(None, (self.pace.complaint, self._sentence if self._left else ""))]
+        pause = "pause: Space goes on, . flies a single step" if self.paused else ""
+        sentence = "" if lines[0].startswith(self._sentence) or not self._left else self._sentence
+        return [*lines, *filter(None, (pause, self.pace.complaint, sentence))]
 
     # -------------------------------------------------------------------------------------------------------- inside
     def _fly(self) -> None:

@@ -14,7 +14,6 @@ from training.play import gamepad, keyboard
 from training.play.session import Score
 
 Rows = Sequence[tuple[str, str]]
-_VEIL = 150  # of 255, how much of the picture a panel hides around itself
 _LEAST = 6  # px, smallest letters; a window is at least as large as it takes to read them
 _TITLES = {"fly": "Fly", "team": "Team", "flight": "Flight", "picture": "Picture"}
 
@@ -42,33 +41,40 @@ def score_rows(score: Score) -> Rows:
 
 
 def draw_panel(
-    page: pygame.Surface, theme: Theme, title: str, columns: list[list[tuple[str, Rows]]], foot: str
+    page: pygame.Surface,
+    theme: Theme,
+    title: str,
+    columns: list[list[tuple[str, Rows]]],
+    *,
+    lead: str = "",
+    foot: str = "",
+    veil: int = 130,
 ) -> None:
-    """A box in the middle of the page, in letters as large as fit; the picture behind it is veiled.
+    """A box in the middle of the page, in letters as large as fit.
 
-    columns: of titled tables ("" for no title) of two columns each.
+    columns: of titled tables ("" for no title) of two columns each, between a `lead` and a `foot`. veil: of 255, how
+    much it hides of the picture behind it.
     """
     size = page.get_size()
     for height in range(text_height(size), _LEAST - 1, -1):
         type_ = Typesetter(height)
-        widths = [_widths(type_, column) for column in columns]
-        gap, line = 2 * type_.line, type_.line
-        width = max(sum(a + b + line for a, b in widths) + gap * (len(columns) - 1), type_.width(title, bold=True))
-        width = max(width, type_.width(foot)) + 2 * line
-        tall = max(sum((bool(name) + len(rows)) * line + line // 2 for name, rows in column) for column in columns)
-        tall += 3 * line + line // 2 + (line + line // 2) * bool(foot)
-        if width <= size[0] and tall <= size[1]:
+        box, widths = _layout(type_, title, columns, lead, foot)
+        if page.get_rect().contains(box.move_to(center=page.get_rect().center)):
             break
-    veil = pygame.Surface(size, pygame.SRCALPHA)
-    veil.fill((*pygame.Color(theme.page)[:3], _VEIL))
-    page.blit(veil, (0, 0))
-    box = pygame.Rect((size[0] - width) // 2, (size[1] - tall) // 2, width, tall)
+    box.center = page.get_rect().center
+    line = type_.line
+    cover = pygame.Surface(size, pygame.SRCALPHA)
+    cover.fill((*pygame.Color(theme.page)[:3], veil))
+    page.blit(cover, (0, 0))
     pygame.draw.rect(page, theme.page, box, border_radius=6)
     pygame.draw.rect(page, mixed(theme.text, theme.page, 0.4), box, 1, border_radius=6)
-    x, top = box.left + line, box.top + line // 2 + 2
-    page.blit(type_.words(title, theme.text, bold=True), (x, top))
+    x, top = box.left + line, box.top + line // 2
+    for text, bold in ((title, True), (lead, False)):
+        if text:
+            page.blit(type_.words(text, theme.text, bold=bold), (x, top))
+            top += line + line // 2
     for column, (keys, words) in zip(columns, widths, strict=True):
-        y = top + line + line // 2
+        y = top
         for name, rows in column:
             if name:
                 page.blit(type_.words(name, theme.operator, bold=True), (x, y))
@@ -78,9 +84,21 @@ def draw_panel(
                 page.blit(type_.words(right, theme.text), (x + keys + line, y))
                 y += line
             y += line // 2
-        x += keys + words + line + gap
+        x += keys + words + 3 * line
     if foot:
         page.blit(type_.words(foot, theme.faint), (box.left + line, box.bottom - line - line // 2))
+
+
+def _layout(
+    type_: Typesetter, title: str, columns: list[list[tuple[str, Rows]]], lead: str, foot: str
+) -> tuple[pygame.Rect, list[tuple[int, int]]]:
+    """The box that a panel needs, and the widths of its columns of keys and words."""
+    line, widths = type_.line, [_widths(type_, column) for column in columns]
+    tables = sum(keys + words + line for keys, words in widths) + 2 * line * (len(columns) - 1)
+    texts = type_.width(title, bold=True), type_.width(lead), type_.width(foot)
+    tall = max(sum((bool(name) + len(rows)) * line + line // 2 for name, rows in column) for column in columns)
+    tall += (line + line // 2) * sum(map(bool, (title, lead, foot))) + line // 2
+    return pygame.Rect(0, 0, max(tables, *texts) + 2 * line, tall), widths
 
 
 def _widths(type_: Typesetter, column: list[tuple[str, Rows]]) -> tuple[int, int]:
