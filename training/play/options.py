@@ -30,7 +30,5 @@ def open_session(
         from training.play.app import fly
     except ImportError as missing:
         raise ValueError(f'play needs {missing.name}: pip install "fovconn-env[render]"') from missing
-    session = Session(name, policy, seed, changes=changes, record=record)
-    session.step()  # loads the kernels and the policy
-    session.again()
-    return fly, session
+    Session(name, policy, seed, changes=changes).step()  # loads the kernels, off the record
+    return fly, Session(name, policy, seed, changes=changes, record=record)
