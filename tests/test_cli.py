@@ -22,7 +22,13 @@ from training import cli
 from training.evaluation import evaluate, summary
 
 ROOT = Path(__file__).parents[1]
-COMMANDS = {"eval": "--scenario", "demo": "--scenario", "bench": "--scenario", "figures": "--ablations"}
+COMMANDS = {
+    "eval": "--scenario",
+    "demo": "--scenario",
+    "play": "--scenario",
+    "bench": "--scenario",
+    "figures": "--ablations",
+}
 TINY = ("--set", "n_agents=3", "--set", "max_cycles=40", "--set", "warmup=0.5")
 
 

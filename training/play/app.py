@@ -33,7 +33,8 @@ class App:
                 "fovconn demo flies without a person and writes pictures"
             ) from problem
         pygame.joystick.init()
-        controller.init()
+        if not controller.get_init():  # twice, each button would be pushed twice
+            controller.init()
         self.cockpit = Cockpit(session, self._window.size, theme)
         self._fps = fps
         self._pads: dict[int, controller.Controller] = {}  # by instance id
@@ -66,7 +67,6 @@ class App:
         """Close the window; what was flown is written if it is recorded."""
         self.cockpit.session.save()
         self._window.destroy()
-        controller.quit()
 
     def _take(self, event: pygame.Event) -> None:
         cockpit = self.cockpit

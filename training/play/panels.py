@@ -49,8 +49,8 @@ def draw_panel(
     lead: str = "",
     foot: str = "",
     veil: int = 130,
-) -> None:
-    """A box in the middle of the page, in letters as large as fit.
+) -> list[pygame.Rect]:
+    """A box in the middle of the page, in letters as large as fit; returns where its words stand.
 
     columns: of titled tables ("" for no title) of two columns each, between a `lead` and a `foot`. veil: of 255, how
     much it hides of the picture behind it.
@@ -68,25 +68,33 @@ def draw_panel(
     page.blit(cover, (0, 0))
     pygame.draw.rect(page, theme.page, box, border_radius=6)
     pygame.draw.rect(page, mixed(theme.text, theme.page, 0.4), box, 1, border_radius=6)
+    places: list[pygame.Rect] = []
+
+    def put(text: str, color: str, at: tuple[int, int], bold: bool = False) -> None:
+        words = type_.words(text, color, bold=bold)
+        page.blit(words, at)
+        places.append(pygame.Rect(at, words.get_size()))
+
     x, top = box.left + line, box.top + line // 2
     for text, bold in ((title, True), (lead, False)):
         if text:
-            page.blit(type_.words(text, theme.text, bold=bold), (x, top))
+            put(text, theme.text, (x, top), bold)
             top += line + line // 2
     for column, (keys, words) in zip(columns, widths, strict=True):
         y = top
         for name, rows in column:
             if name:
-                page.blit(type_.words(name, theme.operator, bold=True), (x, y))
+                put(name, theme.operator, (x, y), True)
                 y += line
             for left, right in rows:
-                page.blit(type_.words(left, theme.text, bold=True), (x, y))
-                page.blit(type_.words(right, theme.text), (x + keys + line, y))
+                put(left, theme.text, (x, y), True)
+                put(right, theme.text, (x + keys + line, y))
                 y += line
             y += line // 2
         x += keys + words + 3 * line
     if foot:
-        page.blit(type_.words(foot, theme.faint), (box.left + line, box.bottom - line - line // 2))
+        put(foot, theme.faint, (box.left + line, box.bottom - line - line // 2))
+    return places
 
 
 def _layout(
