@@ -388,7 +388,7 @@ def test_help_names_every_key():
 
 def test_the_words_under_the_title():
     one = cockpit(policy="expert")
-    assert one._lines()[0] == "you fly robot 1, the leader   0.00 of 1.5 m/s, stick 1"
+    assert one._lines()[0] == "you fly robot 1, the leader   0.00 of 1.5 m/s   stick 1 m/s"
     assert one._lines()[-1] == "H shows the keys"
     one.advance(5.0)
     assert "too slow a computer" in one._lines()[2]

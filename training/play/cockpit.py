@@ -206,7 +206,7 @@ class Cockpit:
         slow = f"   {SLOWER[self._speed]:g}×" if self._speed else ""
         lines = [f"{who}{role}   {session.speed:.2f} of {limit:g} m/s", f"{session.policy}   seed {session.seed}{slow}"]
         if session.full_stick < limit and session.flown is not None:
-            lines[0] += f", stick {session.full_stick:g}"
+            lines[0] += f"   stick {session.full_stick:g} m/s"
         pause = "pause: Space goes on, a dot flies one step" if self.paused and not self.reason else ""
         sentence = "" if lines[0].startswith(self._sentence) or not self._left else self._sentence
         return [*lines, *filter(None, (pause, self.pace.complaint, sentence))]

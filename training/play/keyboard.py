@@ -32,7 +32,7 @@ TABLE: dict[str, tuple[Key, ...]] = {
         Key(("f", "page down"), "up", "sink", -1),
         Key(("q",), "yaw", "turn left", 1),
         Key(("e",), "yaw", "turn right", -1),
-        Key(("v",), "frame", "forward is: away from you, or the robot's"),
+        Key(("v",), "frame", "forward: away from you, or where it looks"),
     ),
     "team": (
         *(Key((str(k),), "fly", f"fly robot {k}", k - 1) for k in range(1, 10)),
