@@ -85,8 +85,9 @@ def settings_table(name: str) -> str:
     rows = []
     for field, annotation, default, comment in _FIELD.findall(inspect.getsource(kind)):
         factory = re.fullmatch(r"field\(default_factory=(\w+)\)", default)
-        choices = re.fullmatch(r"Literal\[(.*)\]", annotation)
-        words = " or ".join(f'`"{word}"`' for word in ast.literal_eval(f"({choices[1]},)")) if choices else ""
+        choices = re.fullmatch(r"Literal\[(.*)\](?: \| (\w+))?", annotation)
+        words = [f'`"{word}"`' for word in ast.literal_eval(f"({choices[1]},)")] if choices else []
+        words = " or ".join(words + ([f"a `{choices[2]}`"] if choices and choices[2] else []))
         meaning = "; ".join(filter(None, [words, comment])) or (f"see {factory[1]} below" if factory else "")
         rows.append([f"`{field}`", f"`{factory[1]}()`" if factory else f"`{default}`", meaning])
     return _markdown(["setting", "default", "unit and meaning"], rows)

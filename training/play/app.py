@@ -107,8 +107,3 @@ class App:
 
 def _name(key: int) -> str:
     return pygame.key.name(key).lower()
-
-
-def fly(session: Session, *, size: tuple[int, int], theme: str, fps: int) -> None:
-    """Open the window and play until it is closed. Raises `OSError` where there is no display."""
-    App(session, size=size, theme=theme, fps=fps).run()
