@@ -3,8 +3,9 @@
 A table stands between `<!-- KIND:NAME -->` and `<!-- end -->`. KIND is `layout` (a table of `fovconn_env.layout`, or
 `layout:scales`, what the named bounds are), `settings` (fields of a settings class, with the comment beside each),
 `bench` (rates, bars or machine of docs/benchmark.json, which `fovconn bench --json` writes), `results`
-(a table of a record in docs/results, which `make results` writes) or `levels` (of one scenario, from
-docs/results/levels.json, which docs/levels.py writes).
+(a table of a record in docs/results, which `make results` writes), `levels` (of one scenario, from
+docs/results/levels.json, which docs/levels.py writes) or `keys` (of `fovconn play`, one group of its key table, `mouse`
+or `gamepad`).
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from baselines import Gains, find_policy
 from fovconn_env import layout, scenarios, settings
 from fovconn_env.layout import Column
 from training.bench.report import bar_table, machine_line, rate_table, restless
+from training.play import gamepad, keyboard
 
 ROOT = Path(__file__).parents[1]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -45,8 +47,15 @@ _FIELD = re.compile(r"^    (\w+): (.+?) = (.+?)(?:  # (.*))?$", re.MULTILINE)
 def rendered(text: str) -> str:
     """A page with its generated tables made anew."""
     kinds = {"layout": layout_table, "settings": settings_table, "bench": bench_table}
-    kinds |= {"results": results_table, "levels": levels_table}
+    kinds |= {"results": results_table, "levels": levels_table, "keys": keys_table}
     return _MARKED.sub(lambda found: f"{found[1]}\n{kinds[found[2]](found[3])}\n\n{found[4]}", text)
+
+
+def keys_table(name: str) -> str:
+    """The Markdown table of a group of keys of `fovconn play`."""
+    pad = [*gamepad.AXES, *((button.name, button.words) for button in gamepad.BUTTONS)]
+    rows = {"mouse": keyboard.MOUSE, "gamepad": pad}.get(name) or keyboard.rows(name)
+    return _markdown([name, "does"], [[f"`{keys}`", words] for keys, words in rows])
 
 
 def layout_table(name: str) -> str:

@@ -23,7 +23,7 @@ from training.evaluation import evaluate, summary
 
 ROOT = Path(__file__).parents[1]
 COMMANDS = {"eval": "--scenario", "demo": "--scenario", "bench": "--scenario", "figures": "--ablations"}
-COMMANDS["replay"] = "--out"
+COMMANDS |= {"replay": "--out", "play": "--scenario"}
 TINY = ("--set", "n_agents=3", "--set", "max_cycles=40", "--set", "warmup=0.5")
 
 

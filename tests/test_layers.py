@@ -44,7 +44,7 @@ LAYERS = [
     ["fovconn_env.*"],
     ["fovconn_env"],
     ["baselines"],
-    ["training.bench", "training.evaluation", "training.sb3"],
+    ["training.bench", "training.evaluation", "training.play", "training.sb3"],
     ["training"],
     ["tests"],
 ]
@@ -277,3 +277,13 @@ def test_presets_are_named_and_build():
 def test_modules_are_found(name):
     """No module hides behind another of the same name."""
     assert importlib.util.find_spec(name.removesuffix(".__init__")) is not None
+
+
+def test_playing_without_pygame():
+    """Who flies what, and how keys become a stick, needs no window library."""
+    pure = {f"training.play.{name}" for name in "gamepad handover keyboard pace session stick".split()}
+    assert pure <= MODULES
+    for file, name in FILES.items():
+        if name in pure:
+            assert "pygame" not in roots(file), name
+            assert not {other for other in imports(file) if "fovconn_env.render" in other}, name

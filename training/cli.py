@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 import fovconn_env
-from training.commands import bench, demo, evaluate, figures, replay
+from training.commands import bench, demo, evaluate, figures, play, replay
 from training.commands.screen import err, out
 from training.evaluation.campaign import Interrupted
 
@@ -18,7 +18,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Robots that see only what is in front of them, kept together: fly them, measure them.",
 )
-for _name, _module in {"eval": evaluate, "demo": demo, "replay": replay, "figures": figures, "bench": bench}.items():
+_COMMANDS = {"eval": evaluate, "demo": demo, "play": play, "replay": replay, "figures": figures, "bench": bench}
+for _name, _module in _COMMANDS.items():
     app.command(_name)(_module.command)
 
 
