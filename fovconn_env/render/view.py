@@ -14,6 +14,7 @@ from fovconn_env.render.instant import Instant, instant_of
 from fovconn_env.render.key import draw_key
 from fovconn_env.render.painter import Marks, Painter
 from fovconn_env.render.palette import THEMES, leader_of, mixed
+from fovconn_env.render.pixels import MASKS, halve, rgb_array
 from fovconn_env.render.places import divide, text_height
 from fovconn_env.render.stage import Stage
 from fovconn_env.render.strip import FINE, Strip
@@ -54,13 +55,13 @@ class View:
         self._colors = THEMES[self.theme]
         self._type = Typesetter(text_height(self.size))
         self._painter = Painter(self._scenario, self._colors, self._leader)
-        self._page = pygame.Surface(self.size, 0, 32)
+        self._page = pygame.Surface(self.size, 0, 32, MASKS)
         page, scenario = divide(self.size, self._type.line, above=True), self._scenario
         operated = leader_of(scenario) is not None
         self._key = draw_key(page.key.size, self._colors, self._type, operated=operated)
         bound = scenario.lambda2_min
         self._strip = Strip(page.strip.size, self._type.line, self._colors, self._painter.colors, bound)
-        self._fine = pygame.Surface((FINE * self.size[0], FINE * page.world.height), 0, 32)
+        self._fine = pygame.Surface((FINE * self.size[0], FINE * page.world.height), 0, 32, MASKS)
 
     @property
     def distance(self) -> float:
@@ -84,8 +85,7 @@ class View:
         page = divide(self.size, self._type.line, above=self.look.above and self.look.camera != "top")
         shown = self._between(now, late)
         marks = [self._paint(place, shown, weak, k > 0) for k, place in enumerate(page[:2]) if place.width]
-        free = self._page.subsurface((0, 0, self.size[0], page.world.height))
-        pygame.transform.smoothscale(self._fine, free.get_size(), free)
+        halve(self._fine, self._page)
         self._type.taken.clear()
         self._page.blit(self._key, page.key)
         self._page.blit(self._strip.draw(self._history, now), page.strip)
@@ -97,11 +97,7 @@ class View:
 
     def draw_array(self, simulator: Simulator) -> np.ndarray:
         """The same as an array of its own, (height, width, 3) uint8."""
-        width, height = self.size
-        rgb = pygame.Surface(self.size, 0, 24, (0xFF, 0xFF00, 0xFF0000, 0))  # a byte a colour, red first
-        rgb.blit(self.draw(simulator), (0, 0))
-        rows = np.frombuffer(rgb.get_buffer().raw, np.uint8).reshape(height, rgb.get_pitch())
-        return rows[:, : 3 * width].reshape(height, width, 3).copy()
+        return rgb_array(self.draw(simulator))
 
     def _between(self, now: Instant, late: float) -> Instant:
         """The robots `late` steps before now, if the step before now was drawn."""
