@@ -16,12 +16,13 @@ import pytest
 import fovconn_env
 from fovconn_env.kernel.geometry import tilt
 from fovconn_env.maps import Map
-from fovconn_env.render import pixels, shapes3d
+from fovconn_env.render import shapes3d
 from fovconn_env.render.aim import Look
 from fovconn_env.render.alarm import HOLD, Alarm, notices, weak_links
 from fovconn_env.render.history import SPAN, History
 from fovconn_env.render.instant import instant_of
 from fovconn_env.render.palette import DARK, LIGHT, THEMES, colors_of
+from fovconn_env.render.pixels import MASKS, halve, rgb_array
 from fovconn_env.render.projection import NEAR, clipped, fitting_distance, from_above, in_front, look_at, project
 from fovconn_env.render.view import View
 from fovconn_env.scenarios import scenario
@@ -396,12 +397,12 @@ def test_without_pygame_the_error_names_the_extra(monkeypatch):
 def test_pixels_are_halved_and_unpacked():
     """Means of 2 x 2 pixels, colour by colour, rounded to the nearest; then bytes red, green, blue."""
     rng = np.random.default_rng(0)
-    fine, page = pygame.Surface((12, 8), 0, 32, pixels.MASKS), pygame.Surface((6, 5), 0, 32, pixels.MASKS)
+    fine, page = pygame.Surface((12, 8), 0, 32, MASKS), pygame.Surface((6, 5), 0, 32, MASKS)
     colors = rng.integers(0, 256, (12, 8, 3), dtype=np.uint8)
     pygame.surfarray.blit_array(fine, colors)
     page.fill((1, 2, 3))
-    pixels.halve(fine, page)
+    halve(fine, page)
     wanted = (colors.reshape(6, 2, 4, 2, 3).sum(axis=(1, 3), dtype=np.uint16) + 2) // 4
-    found = pixels.rgb_array(page)
+    found = rgb_array(page)
     np.testing.assert_array_equal(found[:4], wanted.swapaxes(0, 1))
     assert (found[4] == [1, 2, 3]).all()  # below it the page stays as it was
