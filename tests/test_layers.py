@@ -281,7 +281,7 @@ def test_modules_are_found(name):
 
 def test_playing_without_pygame():
     """Who flies what, and how keys become a stick, needs no window library."""
-    pure = {f"training.play.{name}" for name in "gamepad handover keyboard pace session stick".split()}
+    pure = {f"training.play.{name}" for name in "gamepad handover keyboard pace score script session stick".split()}
     assert pure <= MODULES
     for file, name in FILES.items():
         if name in pure:

@@ -11,7 +11,7 @@ from fovconn_env.render.palette import Theme, mixed
 from fovconn_env.render.places import text_height
 from fovconn_env.render.text import Typesetter
 from training.play import gamepad, keyboard
-from training.play.session import Score
+from training.play.score import Score
 
 Rows = Sequence[tuple[str, str]]
 _LEAST = 6  # px, smallest letters; a window is at least as large as it takes to read them

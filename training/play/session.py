@@ -5,27 +5,18 @@ from __future__ import annotations
 import dataclasses
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from baselines import POLICIES, find_policy
 from fovconn_env import PRESETS, Scenario, Simulator, scenario
-from fovconn_env.kernel import pilot
 from fovconn_env.metrics import Meter
-from fovconn_env.recording import Recorder, outcome
+from fovconn_env.recording import Recorder
 from training.play.handover import Handover
+from training.play.score import Score, score_of
+from training.play.script import script_stick
 from training.play.stick import REST, Stick, velocity
-
-
-class Score(NamedTuple):
-    """What a flight was worth."""
-
-    outcome: str  # one of recording.OUTCOMES
-    time: float  # s
-    progress: float  # way of the leader by the way it was pulled, NaN if it was not
-    kept: float  # share of the time in which the team was connected
-    least_lambda2: float
 
 
 class Session:
@@ -67,7 +58,7 @@ class Session:
             return
         if self.led:
             own_pull = flown == self.leader
-            simulator.push(self._velocity(stick, heading) if own_pull else self._script() * self.scripted)
+            simulator.push(self._velocity(stick, heading) if own_pull else script_stick(simulator) * self.scripted)
         actions = self._policy.act(simulator.observations).astype(np.float64)
         if flown is not None:
             self._take(actions[0, flown], stick, heading)
@@ -215,10 +206,7 @@ class Session:
 
     def score(self) -> Score:
         """Of the flight so far."""
-        found = {name: float(values[0]) for name, values in self._meter.results().items()}
-        progress, kept = found["progress"] if self.led else math.nan, found["connected_share"]
-        time = self.steps * self.scenario.step_time
-        return Score(outcome(self.simulator), time, progress, kept, found["min_lambda2"])
+        return score_of(self.simulator, self._meter)
 
     # ------------------------------------------------------------------------------------------------------- inside
     def _board(self, name: str, policy: str, seed: int) -> None:
@@ -277,12 +265,3 @@ class Session:
         top = self.scenario.speed_limit + self.scenario.stick_speed
         action[:3] = self._velocity(stick, heading) / top
         action[3] = stick.yaw
-
-    def _script(self) -> np.ndarray:
-        """The stick with which the script would pull now, (3,) m/s in the leader's yaw frame."""
-        simulator = self.simulator
-        params, episodes = simulator.params.copy(), simulator.state.episode.copy()
-        params["leader"] = pilot.WAYPOINTS
-        world = simulator.world
-        pilot.resteer(simulator.state.body, world.waypoint, world.n_waypoints, world.stick, episodes, params)
-        return np.array([episodes[f"stick_{axis}"][0] for axis in "xyz"])
