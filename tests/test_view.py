@@ -311,6 +311,48 @@ def test_the_themes_tell_robots_apart():
         assert len({*colors, theme.page}) == 9
 
 
+def test_another_leader_in_flight():
+    """It changes colours with the first one, as if it had led from the beginning; the history stays."""
+    settings = scenario(n_agents=4)
+    first, then = colors_of(settings, LIGHT), colors_of(settings, LIGHT, 2)
+    assert (then[2], then[0], then[1], then[3]) == (LIGHT.leader, first[2], first[1], first[3])
+    simulator = started()
+    view = View(simulator.scenario)
+    for _ in range(3):
+        simulator.step(np.zeros((1, 6, 4)))
+        before = view.draw_array(simulator)
+    simulator.lead(2)
+    after = view.draw_array(simulator)
+    assert (after != before).any(axis=-1).mean() > 0.001
+    assert len(view._history.strip(-1.0)[0]) == 3
+    assert view._painter.colors[2] == LIGHT.leader
+    simulator.reset(3)
+    view.draw(simulator)
+    assert view._painter.colors[0] == LIGHT.leader
+
+
+def test_pictures_between_two_steps():
+    """Late by a whole step the robots stand where they stood; a heading turns the short way round."""
+    simulator = started()
+    simulator.step(np.zeros((1, 6, 4)))
+    view = View(simulator.scenario)
+    view.draw(simulator)
+    earlier = instant_of(simulator)
+    simulator.step(np.ones((1, 6, 4)))
+    now = instant_of(simulator)
+    assert np.abs(now.poses - earlier.poses).max() > 0.02
+    for late in (0.0, 0.3, 1.0):
+        shown = view._between(now, late)
+        assert shown.poses == pytest.approx(now.poses - late * (now.poses - earlier.poses))
+        assert shown.time == pytest.approx(now.time - late * simulator.scenario.step_time)
+    turned = now._replace(time=now.time + 0.05, poses=now.poses * [1, 1, 1, 0] + [0, 0, 0, 3.1])
+    back = turned._replace(time=turned.time + 0.05, poses=now.poses * [1, 1, 1, 0] - [0, 0, 0, 3.1])
+    view._between(turned, 0.5)
+    assert np.cos(view._between(back, 0.5).poses[:, 3]) == pytest.approx(-1.0)
+    skipped = back._replace(time=back.time + 1.0)
+    assert view._between(skipped, 0.5) is skipped, "steps between them were not drawn"
+
+
 # -------------------------------------------------------------------------------------------------- environments
 def test_two_environments_side_by_side():
     one, two = (fovconn_env.parallel_env(render_mode="rgb_array", warmup=0.1) for _ in range(2))
