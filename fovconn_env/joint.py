@@ -6,6 +6,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+import numpy.typing as npt
 from gymnasium import spaces
 
 from fovconn_env import layout
@@ -13,7 +14,7 @@ from fovconn_env.graph import Graph
 from fovconn_env.scenarios import Scenario, scenario
 from fovconn_env.settings import as_numbers
 from fovconn_env.simulator import Simulator
-from fovconn_env.viewer import RENDER_MODES, Viewer
+from fovconn_env.viewer import FPS, RENDER_MODES, Viewer
 
 TEAM_KEYS = ("lambda2", "connected", "n_edges", "success", "collision", "disconnected")  # the same for every robot
 
@@ -31,7 +32,7 @@ class JointEnv(gymnasium.Env):
     infos: the team's numbers as floats, the robots' as arrays (N,); keys are those of `layout.INFO`.
     """
 
-    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 20}
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": FPS}
 
     def __init__(
         self, base: str | Scenario = "LeaderFollow-v0", *, render_mode: str | None = None, **settings: Any
@@ -49,6 +50,7 @@ class JointEnv(gymnasium.Env):
         super().reset(seed=seed)
         poses = (options or {}).get("poses")
         self.simulator.reset(seed, poses=poses)
+        self._viewer.show(self.simulator)
         return self.simulator.observations[0].copy(), self._info()
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
@@ -62,15 +64,24 @@ class JointEnv(gymnasium.Env):
         episode = self.simulator.state.episode[0]
         reward = float(self.simulator.rewards[0].mean())
         observation = self.simulator.observations[0].copy()
+        self._viewer.show(self.simulator)
         return observation, reward, bool(episode["terminated"]), bool(episode["truncated"]), self._info()
+
+    def push(self, stick: npt.ArrayLike) -> None:
+        """Give a human leader's stick, (3,) m/s in its yaw frame, before a step; see `Simulator.push`."""
+        self.simulator.push(stick)
 
     def graph(self) -> Graph:
         """The observations as a graph, as in the PettingZoo environment."""
         return self.simulator.graph()
 
     def render(self) -> np.ndarray | None:
-        """A picture of the world, (480, 640, 3) uint8."""
+        """A picture of the world, (480, 640, 3) uint8, as in the PettingZoo environment."""
         return self._viewer.draw(self.simulator)
+
+    def close(self) -> None:
+        """Close the window of the render mode "human"."""
+        self._viewer.close()
 
     def _info(self) -> dict[str, Any]:
         rows = self.simulator.infos[0]

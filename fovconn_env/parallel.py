@@ -8,6 +8,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+import numpy.typing as npt
 import pettingzoo
 from gymnasium import spaces
 from pettingzoo.utils import parallel_to_aec
@@ -18,7 +19,7 @@ from fovconn_env.graph import Graph
 from fovconn_env.scenarios import Scenario, scenario
 from fovconn_env.settings import as_numbers
 from fovconn_env.simulator import Simulator
-from fovconn_env.viewer import RENDER_MODES, Viewer
+from fovconn_env.viewer import FPS, RENDER_MODES, Viewer
 
 PARTS = ("self", "neighbors", "ranges")
 INFO_KEYS = tuple(column.name for column in layout.INFO)
@@ -34,7 +35,7 @@ class ParallelEnv(pettingzoo.ParallelEnv):
     metadata: dict[str, Any] = {
         "name": "fovconn_v0",
         "render_modes": list(RENDER_MODES),
-        "render_fps": 20,
+        "render_fps": FPS,
         "is_parallelizable": True,
     }
 
@@ -87,6 +88,7 @@ class ParallelEnv(pettingzoo.ParallelEnv):
         poses = (options or {}).get("poses")
         self.simulator.reset(seed, poses=poses)
         self.agents = list(self.possible_agents)
+        self._viewer.show(self.simulator)
         return self._observations(), self._infos()
 
     def step(self, actions: dict[str, np.ndarray]) -> tuple[dict, dict, dict, dict, dict]:
@@ -105,7 +107,12 @@ class ParallelEnv(pettingzoo.ParallelEnv):
         observations, infos = self._observations(), self._infos()
         if episode["over"]:
             self.agents = []
+        self._viewer.show(self.simulator)
         return observations, rewards, terminations, truncations, infos
+
+    def push(self, stick: npt.ArrayLike) -> None:
+        """Give a human leader's stick, (3,) m/s in its yaw frame, before a step; see `Simulator.push`."""
+        self.simulator.push(stick)
 
     def poses(self) -> np.ndarray:
         """The truth, (N, 4) float64: x, y, z, yaw of every robot in the world frame."""
@@ -127,11 +134,15 @@ class ParallelEnv(pettingzoo.ParallelEnv):
         return self.simulator.privileged()[0]
 
     def render(self) -> np.ndarray | None:
-        """A picture of the world as it is, (480, 640, 3) uint8, or None without a render mode."""
+        """A picture of the world as it is, (480, 640, 3) uint8; None without a render mode, and in the mode "human".
+
+        That one opens a window, which also `reset` and `step` keep up to date, at `render_fps` steps a second.
+        """
         return self._viewer.draw(self.simulator)
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Close the window of the render mode "human"."""
+        self._viewer.close()
 
     def _gather(self, actions: dict[str, np.ndarray]) -> np.ndarray:
         """Actions (N, 4) float64, checked."""

@@ -1,9 +1,13 @@
 """Fixtures that several files use."""
 
+import os
 import sys
 from types import SimpleNamespace
 
 import pytest
+
+os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # windows of the render mode "human" open nowhere
+os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
 
 
 @pytest.fixture

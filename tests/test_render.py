@@ -13,18 +13,16 @@ from PIL import Image
 from fovconn_env.flight import Flight
 from fovconn_env.kernel.types import PIECE
 from fovconn_env.maps import Map
-from fovconn_env.render import sight, style
+from fovconn_env.render import palette, sight, style
 from fovconn_env.render.animation import Movie, animate, frame_indices, snapshot
 from fovconn_env.render.curves import draw_activation, draw_potential
 from fovconn_env.render.figures import draw_all
 from fovconn_env.render.obstacles import outlines
-from fovconn_env.render.picture import Picture
 from fovconn_env.render.scene import ARROWS, Scene, arrow_shape, body_shapes, cone_shapes, turned
 from fovconn_env.render.table import markdown, parameters
 from fovconn_env.render.timelines import draw_connectivity, draw_relative_yaw
 from fovconn_env.render.trajectories import draw_top_view, draw_trajectories
 from fovconn_env.scenarios import scenario
-from fovconn_env.simulator import Simulator
 
 STEPS = 80
 GROUND = (
@@ -73,6 +71,7 @@ def make_flight(n=3, obstacles=False) -> Flight:
         pieces=pieces,
         vertices=vertices,
         outcome="success",
+        leader=np.zeros(len(time), int),
     )
 
 
@@ -220,8 +219,8 @@ def test_large_teams_and_teams_without_a_leader():
     assert (
         style.names_of(scenario(n_agents=24, leader_index=3)) == ["the others", "", "", "robot 4 (leader)"] + [""] * 20
     )
-    assert style.LEADER not in style.colors_of(scenario("Regroup-v0"))
-    colors = style.colors_of(scenario(n_agents=8, leader_index=2))
+    assert style.LEADER not in palette.colors_of(scenario("Regroup-v0"))
+    colors = palette.colors_of(scenario(n_agents=8, leader_index=2))
     assert colors[2] == style.LEADER
     assert len(set(colors)) == 8
 
@@ -347,23 +346,6 @@ def test_snapshot(tmp_path, name):
     image = np.asarray(Image.open(snapshot(flight, tmp_path / "demo.png", time=2.0, dpi=150)))
     assert image.shape == (1050, 1200, 3)
     assert image.std() > 8
-
-
-def test_picture_of_a_simulator_follows_it():
-    settings = scenario("LeaderObstacles-v0", n_agents=3, warmup=0.0, map=GROUND)
-    simulator = Simulator(settings)
-    poses = np.zeros((3, 4))
-    poses[:, :2] = [[0, 0], [3, 0], [3, 3]]
-    simulator.reset(1, poses=poses)
-    picture = Picture(settings)
-    first = picture.draw(simulator)
-    assert (first.shape, first.dtype) == ((480, 640, 3), np.uint8)
-    assert first.std() > 8
-    assert np.array_equal(picture.draw(simulator), first)
-    simulator.step(np.ones((1, 3, 4)))
-    assert not np.array_equal(picture.draw(simulator), first)
-    simulator.reset(2, poses=poses * [8.0, 8.0, 1.0, 1.0])
-    assert not np.array_equal(picture.draw(simulator), first), "a new episode has a page of its own"
 
 
 def test_nothing_needs_a_display_or_pyplot(tmp_path):

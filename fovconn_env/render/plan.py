@@ -18,7 +18,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from fovconn_env.maps import HIGH, LOW, Map
-from fovconn_env.render import style
+from fovconn_env.render import palette, style
 from fovconn_env.render.obstacles import outlines
 from fovconn_env.render.scene import body_shapes
 from fovconn_env.scenarios import Scenario
@@ -91,7 +91,7 @@ def _draw_bounds(axes: Axes, corners: np.ndarray) -> None:
 
 def _draw_starts(axes: Axes, scenario: Scenario, starts: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
     """Robots in their size where they start, and the leader's way from there."""
-    colors = style.colors_of(scenario)
+    colors = palette.colors_of(scenario)
     for poses, waypoints in starts:
         bodies = body_shapes(poses, scenario.collision_robot / 2)
         axes.add_collection(PolyCollection(list(bodies), fc=colors, ec="white", lw=0.3, zorder=5), autolim=False)

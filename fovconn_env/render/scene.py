@@ -15,7 +15,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 
 from fovconn_env.flight import Flight
 from fovconn_env.kernel.geometry import tilt
-from fovconn_env.render import sight, style
+from fovconn_env.render import palette, sight, style
 from fovconn_env.render.obstacles import outlines
 from fovconn_env.scenarios import Scenario
 
@@ -62,7 +62,7 @@ class Scene:
 
     def __init__(self, axes: Axes, scenario: Scenario, metre: float) -> None:
         self._scenario, self._size = scenario, 7.5 / metre  # m, a body's radius in the picture
-        self._colors = colors = style.colors_of(scenario)
+        self._colors = colors = palette.colors_of(scenario)
         self._far = PolyCollection([], fc=colors, ec=colors, alpha=0.055, lw=0.8, zorder=2)
         self._near = PolyCollection([], fc=colors, ec="none", alpha=0.22, zorder=3)
         self._trails = LineCollection([], colors=colors, lw=1.4, alpha=0.55, zorder=4)

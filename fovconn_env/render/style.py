@@ -1,8 +1,7 @@
-"""Colours, fonts and page sizes shared by all pictures. Colours after Okabe and Ito: safe for colour-blind readers."""
+"""Fonts, page sizes and the light theme's colours, for matplotlib."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -13,17 +12,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
+from fovconn_env.render.palette import LIGHT, leader_of
 from fovconn_env.render.sight import runs
 from fovconn_env.scenarios import Scenario
 
-LEADER = "#111111"
-FOLLOWERS = ("#0072B2", "#E69F00", "#CC79A7", "#56B4E9", "#8C6D31", "#7B4FA3", "#44AA99")
-TRUTH = "#D62718"  # true lambda2, red as in the paper
-OPERATOR = "#009E73"  # the stick, and as a band where it pushes
-BAND = "#D3EDE0"
-GRID, FAINT, DARK = "#E4E4E4", "#8A8A8A", "#333333"
-OBSTACLE = "#C9C5BE"
-MUTUAL, ONE_WAY = "#009E73", "#3B76B5"  # links
+FOLLOWERS, LEADER, OBSTACLE = LIGHT.followers, LIGHT.leader, LIGHT.obstacle
+TRUTH, OPERATOR = LIGHT.truth, LIGHT.operator  # true lambda2, red as in the paper; stick and way points
+MUTUAL, ONE_WAY, FAINT, DARK = LIGHT.mutual, LIGHT.one_way, LIGHT.faint, LIGHT.text
+BAND = "#D3EDE0"  # where the operator pushes
+GRID = "#E4E4E4"
 # Fig. 7, by class of sight (`sight.CLASSES`): nobody, i sees j only, j sees i only, both
 PHASES = ("#FFFFFF", "#BCD8F2", "#FBE58C", "#BDE5C6")
 
@@ -65,17 +62,6 @@ def save(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG and return the path."""
     figure.savefig(path, dpi=figure.dpi, metadata={"Software": None})
     return path
-
-
-def leader_of(scenario: Scenario) -> int | None:
-    """The robot the operator moves, or None."""
-    return None if scenario.leader == "none" else scenario.leader_index
-
-
-def colors_of(scenario: Scenario) -> list[str]:
-    """One colour a robot, (N,): the leader's stands apart, the followers' repeat after seven."""
-    leader, spare = leader_of(scenario), itertools.cycle(FOLLOWERS)
-    return [LEADER if i == leader else next(spare) for i in range(scenario.n_agents)]
 
 
 def names_of(scenario: Scenario) -> list[str]:

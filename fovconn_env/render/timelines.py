@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from fovconn_env.flight import Flight
-from fovconn_env.render import sight, style
+from fovconn_env.render import palette, sight, style
 
 LOST_FOR = 1.0  # s without any sight after which meeting again is marked
 _INVALID = {"color": style.FAINT, "lw": 1.1, "ls": (0, (2, 1.5))}
@@ -73,7 +73,7 @@ def plot_lambda2(axes: Axes, flight: Flight) -> None:
     """Draw true lambda2, the estimates and the bound lambda2_min over time, and the operator's phases as bands."""
     style.band(axes, flight.time, (flight.stick != 0).any(axis=1), style.BAND)
     for i, (color, name) in enumerate(
-        zip(style.colors_of(flight.scenario), style.names_of(flight.scenario), strict=True)
+        zip(palette.colors_of(flight.scenario), style.names_of(flight.scenario), strict=True)
     ):
         label = rf"$\tilde\lambda_2$ of {name}" if name else None
         axes.plot(flight.time, flight.lambda2_hat[:, i], color=color, lw=1.0, label=label)

@@ -16,7 +16,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from fovconn_env.flight import Flight
-from fovconn_env.render import style
+from fovconn_env.render import palette, style
 from fovconn_env.render.obstacles import outlines
 
 DOT_EVERY = 5.0  # s between the dots of a trajectory
@@ -37,7 +37,7 @@ def draw_trajectories(flight: Flight) -> Figure:
     figure = style.page(7.5, 4.9, layout=None)
     axes = Axes3D(figure, elev=32, azim=-60 if sides[0] >= sides[1] else -30)
     figure.add_axes(axes)
-    for i, color in enumerate(style.colors_of(flight.scenario)):
+    for i, color in enumerate(palette.colors_of(flight.scenario)):
         axes.plot(*flight.poses[:, i, :2].T, floor, color=color, lw=0.8, alpha=0.22, zorder=1)
     _draw_tracks(axes, flight, 3)
     for k, (x, y, z) in enumerate(flight.waypoints):
@@ -81,8 +81,8 @@ def draw_top_view(flight: Flight) -> Figure:
 def _draw_tracks(axes: Axes, flight: Flight, dimensions: int) -> None:
     """Trajectories in 2 or 3 dimensions: a line a robot, a dot every 5 s, a hollow one at the start."""
     dots = np.searchsorted(flight.time, np.arange(0.0, flight.time[-1] + 1e-9, DOT_EVERY) - 1e-9)
-    for i, color in enumerate(style.colors_of(flight.scenario)):
-        track, lead = flight.poses[:, i, :dimensions].T, i == style.leader_of(flight.scenario)
+    for i, color in enumerate(palette.colors_of(flight.scenario)):
+        track, lead = flight.poses[:, i, :dimensions].T, i == palette.leader_of(flight.scenario)
         axes.plot(*track, color=color, lw=2.4 if lead else 1.2, zorder=5 if lead else 4)
         axes.plot(*track[:, dots], "o", color=color, ms=5 if lead else 3.5, zorder=6)
         axes.plot(*track[:, :1], "o", mfc="white", mec=color, ms=8 if lead else 6, zorder=7)
@@ -116,11 +116,11 @@ def _fill(figure: Figure, axes: Axes3D, sides: list[float]) -> None:
 
 def _legend(flight: Flight) -> list[Line2D]:
     """Handles of both figures: robots, then marks."""
-    leader = style.leader_of(flight.scenario)
+    leader = palette.leader_of(flight.scenario)
     handles = [
         Line2D([], [], color=color, lw=2.4 if i == leader else 1.2, label=name)
         for i, (color, name) in enumerate(
-            zip(style.colors_of(flight.scenario), style.names_of(flight.scenario), strict=True)
+            zip(palette.colors_of(flight.scenario), style.names_of(flight.scenario), strict=True)
         )
         if name
     ]

@@ -76,6 +76,7 @@ def plans(chosen: Scenario, effort: Effort, peers: list[str]) -> list[Plan]:
         Plan("dynamics", "parallel quadrotor", "parallel_env, quadrotor", partial(_parallel, quadrotor)),
         Plan("reset", "reset 1", "reset, parallel_env", partial(_reset, chosen, None)),
         Plan("parallel", "parallel", "parallel_env", partial(_parallel, chosen)),
+        Plan("render", "render", "render, 640 x 480", partial(_render, chosen)),
     ]
     found += [_peer_plan(name, chosen.n_agents, 1) for name in peers if not PEERS[name].batched]
     for b in sorted({*effort.batches, main}, key=lambda b: (b == main, b)):
@@ -141,6 +142,22 @@ def _parallel(chosen: Scenario, flat: bool = False) -> Case:
         actions = dict(zip(env.agents, expert.act(env.simulator.observations[0]), strict=True))
         began = time.perf_counter()
         env.step(actions)
+        return time.perf_counter() - began, int(not env.agents)
+
+    return Case(chosen.n_agents, 1, call)
+
+
+def _render(chosen: Scenario) -> Case:
+    """Pictures of a flight, one a step; only `render` counts."""
+    env, expert = parallel_env(chosen, render_mode="rgb_array"), load_policy("expert", chosen)
+    env.reset(seed=0)
+
+    def call() -> tuple[float, int]:
+        if not env.agents:
+            env.reset()
+        env.step(dict(zip(env.agents, expert.act(env.simulator.observations[0]), strict=True)))
+        began = time.perf_counter()
+        env.render()
         return time.perf_counter() - began, int(not env.agents)
 
     return Case(chosen.n_agents, 1, call)

@@ -20,13 +20,13 @@ from fovconn_env import Scenario
 from fovconn_env.vector import VectorEnv
 from training.bench.cases import PEERS, Case, Effort, Plan, plans
 
-GROUPS = ("parallel", "vector", "expert", "sb3", "ppo", "dynamics", "reset", "density", "memory")
+GROUPS = ("parallel", "vector", "expert", "sb3", "ppo", "dynamics", "reset", "render", "density", "memory")
 INSTALLED = ("installed", "all")  # in the place of a peer's name
 Progress = Callable[[str, int, int], None]  # what comes next, calls done, calls in all
 
 
 class Timing(NamedTuple):
-    """What a case gave: `rates` are environment steps a second (resets in the group "reset"), one a repetition."""
+    """What a case gave: `rates` are environment steps a second (or resets, or pictures), one a repetition."""
 
     key: str
     name: str
@@ -76,6 +76,9 @@ def agenda(chosen: Scenario, effort: Effort, only: Sequence[str] = (), against: 
         lost = [group for group in groups if group in ("sb3", "ppo")]
         groups = [group for group in groups if group not in lost]
         missing += [f"{group}: needs stable-baselines3, pip install -e '.[learn]'" for group in lost]
+    if "render" in groups and importlib.util.find_spec("pygame") is None:
+        groups.remove("render")
+        missing.append("render: needs pygame-ce, pip install -e '.[render]'")
     todo = [plan for plan in plans(chosen, effort, peers) if plan.group in (*groups, "peers")]
     return Agenda(chosen, effort, todo, "memory" in groups, missing)
 

@@ -180,6 +180,8 @@ def plain(settings: Any) -> Any:
         return {"pieces": pieces.tolist(), "vertices": vertices.tolist()}
     if dataclasses.is_dataclass(settings):
         return {item.name: plain(getattr(settings, item.name)) for item in dataclasses.fields(settings)}
+    if isinstance(settings, np.ndarray):
+        return settings.tolist()
     if isinstance(settings, tuple):
         return [plain(item) for item in settings]
     return _clean(settings.item() if isinstance(settings, np.generic) else settings)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
@@ -14,8 +13,10 @@ from baselines import POLICIES, find_policy
 from baselines.learned import BASES, Learned
 from fovconn_env import PRESETS, Scenario, scenario
 from fovconn_env.settings import rule
+from training.commands.options import OUT, check_folder, parse
+from training.commands.screen import out, progress
 
-train_app = typer.Typer(no_args_is_help=True, help="Train policies, and record flights to train from.")
+app = typer.Typer(no_args_is_help=True, help="Train policies, and record flights to train from.")
 SHIPPED = ", ".join(name for name, kind in POLICIES.items() if issubclass(kind, Learned)) or "none yet"
 
 Scenarios = Annotated[
@@ -54,7 +55,7 @@ Start = Annotated[
 Filtered = Annotated[bool, typer.Option("--safe", help="Train with the safety filter on what is flown.")]
 
 
-@train_app.command("dagger")
+@app.command("dagger")
 def dagger_command(
     scenarios: Scenarios = None,
     settings: Changes = None,
@@ -86,7 +87,7 @@ def dagger_command(
     )
 
 
-@train_app.command("bc")
+@app.command("bc")
 def bc_command(
     data: Annotated[list[Path], typer.Option("--data", help="File of `fovconn train record`; repeatable.")],
     scenarios: Scenarios = None,
@@ -119,7 +120,7 @@ def bc_command(
     )
 
 
-@train_app.command("ppo")
+@app.command("ppo")
 def ppo_command(
     scenarios: Scenarios = None,
     settings: Changes = None,
@@ -155,7 +156,7 @@ def ppo_command(
     )
 
 
-@train_app.command("residual")
+@app.command("residual")
 def residual_command(
     scenarios: Scenarios = None,
     settings: Changes = None,
@@ -190,7 +191,7 @@ def residual_command(
     )
 
 
-@train_app.command("record")
+@app.command("record")
 def record_command(
     policy: Annotated[
         str, typer.Option("--policy", help=f"Policy: {', '.join(POLICIES)}; or file.py:Class")
@@ -205,7 +206,6 @@ def record_command(
     file: Annotated[Path, typer.Option("--out", help="File to write, .npz.")] = Path("out/flights.npz"),
 ) -> None:
     """Fly a policy and write what every robot saw and did, as episodes that others can read (docs/training.md)."""
-    from training import cli
     from training.datasets import record, save
     from training.evaluation.campaign import parse_seeds
 
@@ -213,12 +213,12 @@ def record_command(
     [chosen], numbers = _scenarios([scenario_name], settings), parse_seeds(seeds)
     find_policy(policy)
     file.parent.mkdir(parents=True, exist_ok=True)
-    with cli._progress() as bar:
+    with progress() as bar:
         task = bar.add_task(f"{len(numbers)} flights", total=1.0)
         episodes = record(policy, chosen, numbers, progress=lambda done: bar.update(task, completed=done))
         save(episodes, file)
     steps = int(episodes.arrays["length"].sum())
-    cli.out.print(
+    out.print(
         f"wrote {file}: {len(episodes.arrays['length'])} episodes, {steps} steps", highlight=False, soft_wrap=True
     )
 
@@ -234,22 +234,21 @@ def _train(
     """Make the algorithm from the words of the command line and train it under a progress bar."""
     import torch
 
-    from training import cli
     from training.learning import Budget, Network, train
 
     names, changes, network, tune = what
     steps, minutes, folder, resume, threads, scores = how
     if "help" in (tune or ()):
         for field in [*dataclasses.fields(kind), *dataclasses.fields(Network)]:
-            cli.out.print(f"{field.name}={field.default}", highlight=False)
+            out.print(f"{field.name}={field.default}", highlight=False)
         return
     budget, flown = Budget(steps=steps, minutes=minutes), _scenarios(names or ["LeaderFollow-v0"], changes)
     hyper, net = tuned(kind, Network, tune or [], network)
     if threads:
         torch.set_num_threads(threads)
-    target = folder or cli.OUT / name
-    cli._check_folder(target)
-    with cli._progress() as bar:
+    target = folder or OUT / name
+    check_folder(target)
+    with progress() as bar:
         task = bar.add_task("loading (compiles once, ~20 s)", total=1.0)
         algorithm = make(flown, hyper, net)
         best = train(
@@ -262,7 +261,7 @@ def _train(
         )
     shown = ", ".join(f"{key} {value:.3g}" for key, value in best.items() if key not in ("worth", "steps"))
     line = f"wrote {target}/{name}.safetensors, of step {best.get('steps', 0)}: {shown}"
-    cli.out.print(line, highlight=False, soft_wrap=True)
+    out.print(line, highlight=False, soft_wrap=True)
 
 
 def tuned(kind: type, network: type, words: list[str], network_kind: str) -> tuple[Any, Any]:
@@ -271,19 +270,17 @@ def tuned(kind: type, network: type, words: list[str], network_kind: str) -> tup
     hyper: dict[str, Any] = {}
     net: dict[str, Any] = {}
     for word in words:
-        name, equals, text = word.partition("=")
+        name, equals, _ = word.partition("=")
         known = ", ".join([*mine, *nets])
         rule(bool(equals) and (name in mine or name in nets), "--tune", f"NAME=VALUE of {known}", word, "--tune help")
-        (hyper if name in mine else net)[name] = _value(text)
+        (hyper if name in mine else net)[name] = parse([word])[name]
     return kind(**hyper), network(**{"kind": network_kind, **net})
 
 
 def _scenarios(names: list[str], changes: list[str] | None) -> list[Scenario]:
     """Scenarios from ids, each with settings of its own behind it, and settings for all."""
-    from training.cli import _parse
-
-    common = _parse(changes)
-    return [scenario(word, **{**common, **_parse(own)}) for word, *own in (name.split() or [""] for name in names)]
+    common = parse(changes)
+    return [scenario(word, **{**common, **parse(own)}) for word, *own in (name.split() or [""] for name in names)]
 
 
 def _start(name: str | None) -> Path | None:
@@ -292,10 +289,3 @@ def _start(name: str | None) -> Path | None:
     kind = find_policy(name)
     rule(issubclass(kind, Learned), "--start", "a learned policy", name, f"a file.safetensors, or one of: {SHIPPED}")
     return getattr(kind, "file", None)
-
-
-def _value(text: str) -> Any:
-    try:
-        return ast.literal_eval(text)
-    except (ValueError, SyntaxError):  # a word, such as augmented
-        return text
