@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from baselines import Expert
-from fovconn_env import Simulator
+from fovconn_env import Recorder, Simulator
 from tests.helpers import small
 from training import datasets
 from training.datasets import EPISODES, STEPS, load, record, save
@@ -41,6 +41,42 @@ def test_episodes_are_what_was_flown(episodes, tmp_path):
             assert not episode["terminations"].any()
             assert not episode["success"]
             assert episode["never_disconnected"]
+
+
+def test_recorded_flights_become_episodes():
+    """Flown by hand and broken off after 7 steps: the same observations, actions and rewards as in the air."""
+    hand = small(**SHORT, leader="human")
+    recorder = Recorder(Simulator(hand), ["human", "expert", "expert", "expert"])
+    seen, did, got = [recorder.reset(3).copy()], [], []
+    expert = Expert(hand)
+    for t in range(7):
+        recorder.simulator.push([0.1 * t, 0.0, 0.0])
+        actions = expert.act(recorder.simulator.observations).astype(np.float64)
+        actions[0, 0] = [1.5, 0.0, 0.0, 0.2]  # a hand on the stick, too far
+        did.append(np.clip(actions[0], -1.0, 1.0))
+        seen.append(recorder.step(actions).copy())
+        got.append(recorder.simulator.rewards[0].copy())
+    found = datasets.from_recordings([recorder.recording(), recorder.recording()])
+    assert found.told["policy"] == "human, expert"
+    assert found.arrays["length"].tolist() == [7] * 8
+    for k, episode in enumerate(found.each()):
+        i = k % 4
+        np.testing.assert_array_equal(episode["observations"], np.stack(seen)[:, 0, i])
+        np.testing.assert_array_equal(episode["actions"], np.stack(did)[:, i].astype(np.float32))
+        np.testing.assert_array_equal(episode["rewards"], np.stack(got)[:, i].astype(np.float32))
+        assert episode["truncations"].tolist() == [False] * 6 + [True]
+        assert episode["seed"] == 3
+
+
+def test_recorded_flights_of_several_scenarios_are_refused():
+    flights = []
+    for leader in ("human", "waypoints"):
+        recorder = Recorder(Simulator(small(**SHORT, leader=leader)))
+        recorder.reset(1)
+        recorder.step(np.zeros((1, 4, 4)))
+        flights.append(recorder.recording())
+    with pytest.raises(ValueError, match=r"flights must be of the same settings, got 'others in leader'"):
+        datasets.from_recordings(flights)
 
 
 def test_an_early_end_is_a_termination():

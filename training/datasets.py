@@ -23,7 +23,8 @@ import numpy as np
 import fovconn_env
 from baselines import Policy, find_policy
 from baselines.inputs import columns, full_scale
-from fovconn_env import Scenario, Simulator
+from fovconn_env import Recording, Scenario, Simulator
+from fovconn_env.recording import play_back
 from fovconn_env.settings import rule
 from training import archives
 from training.evaluation.flights import label
@@ -82,11 +83,44 @@ def record(
         progress(float(simulator.over.mean()))
     flights["observations"].append(observations.copy())
     stacked = {name: np.stack(parts) for name, parts in flights.items()}
-    told = {"format": FORMAT, "fovconn_env": fovconn_env.__version__, "policy": label(policy)}
-    told |= {"scenario": plain(simulator.scenario), "columns": columns()}
+    return Episodes(_episodes(simulator, stacked, seeds, split), _told(label(policy), simulator.scenario))
+
+
+def from_recordings(
+    recordings: Sequence[Recording], *, progress: Callable[[float], None] = lambda done: None
+) -> Episodes:
+    """The same of recorded flights, for example of those that a person flew (`fovconn play`): they are computed again.
+
+    A flight that was broken off counts as cut off by time. Raises `ValueError` for flights of several scenarios, and
+    as `fovconn_env.recording.play_back`.
+    """
+    scenarios = [plain(recording.scenario) for recording in recordings]
+    for scenario in scenarios:
+        differing = sorted(name for name in scenario if scenario[name] != scenarios[0].get(name))
+        hint = "a data set is of one scenario; write one of each"
+        rule(not differing, "flights", "of the same settings", f"others in {', '.join(differing)}", hint)
+    parts = []
+    for done, recording in enumerate(recordings, start=1):
+        observations, rewards, split = [], [], np.zeros(1, bool)
+        for simulator in play_back(recording):
+            observations.append(simulator.observations.copy())
+            rewards.append(simulator.rewards.copy())
+            split |= simulator.infos["connected"][:, 0] == 0.0
+        flown = {"observations": np.stack(observations), "rewards": np.stack(rewards[1:])}
+        flown |= {"actions": np.clip(recording.actions[:, None], -1.0, 1.0)}
+        flown |= {"going": np.ones((len(recording.actions), 1), bool)}
+        parts.append(_episodes(simulator, flown, [recording.seed], split))
+        progress(done / len(recordings))
+    arrays = {name: np.concatenate([part[name] for part in parts]) for name in KINDS}
+    pilots = dict.fromkeys(pilot for recording in recordings for pilot in recording.policies)
+    return Episodes(arrays, _told(", ".join(pilots), recordings[0].scenario))
+
+
+def _told(policy: str, scenario: Scenario) -> dict[str, Any]:
+    told = {"format": FORMAT, "fovconn_env": fovconn_env.__version__, "policy": policy}
+    told |= {"scenario": plain(scenario), "columns": columns()}
     told |= {"max_neighbors": scenario.max_neighbors, "max_ranges": scenario.max_ranges}
-    told |= {"action_units": full_scale(simulator.scenario).tolist()}
-    return Episodes(_episodes(simulator, stacked, seeds, split), told)
+    return told | {"action_units": full_scale(scenario).tolist()}
 
 
 def _episodes(

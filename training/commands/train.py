@@ -13,7 +13,7 @@ from baselines import POLICIES, find_policy
 from baselines.learned import BASES, Learned
 from fovconn_env import PRESETS, Scenario, scenario
 from fovconn_env.settings import rule
-from training.commands.options import OUT, check_folder, parse
+from training.commands.options import OUT, check_folder, parse, read_recording
 from training.commands.screen import out, progress
 
 app = typer.Typer(no_args_is_help=True, help="Train policies, and record flights to train from.")
@@ -203,19 +203,34 @@ def record_command(
     seeds: Annotated[
         str, typer.Option(help="Seeds; below 50000 they choose checkpoints and evaluate.")
     ] = "50000-50031",
+    flights: Annotated[
+        list[Path] | None,
+        typer.Option("--flight", help="Take this recording, of `fovconn play --record`, instead; repeatable."),
+    ] = None,
     file: Annotated[Path, typer.Option("--out", help="File to write, .npz.")] = Path("out/flights.npz"),
 ) -> None:
-    """Fly a policy and write what every robot saw and did, as episodes that others can read (docs/training.md)."""
-    from training.datasets import record, save
+    """Write what every robot saw and did, as episodes that others can read (docs/training.md).
+
+    Of a policy that is flown for it, or of recorded flights: your own, with `fovconn play --record flight.npz`.
+    """
+    from training.datasets import from_recordings, record, save
     from training.evaluation.campaign import parse_seeds
 
     rule(file.suffix == ".npz", "--out", "a file that ends in .npz", str(file), "numpy.load reads it")
     [chosen], numbers = _scenarios([scenario_name], settings), parse_seeds(seeds)
     find_policy(policy)
+    recordings = [read_recording(flight) for flight in flights or ()]
     file.parent.mkdir(parents=True, exist_ok=True)
     with progress() as bar:
-        task = bar.add_task(f"{len(numbers)} flights", total=1.0)
-        episodes = record(policy, chosen, numbers, progress=lambda done: bar.update(task, completed=done))
+        task = bar.add_task(f"{len(recordings) or len(numbers)} flights", total=1.0)
+
+        def watch(done: float) -> None:
+            bar.update(task, completed=done)
+
+        if recordings:
+            episodes = from_recordings(recordings, progress=watch)
+        else:
+            episodes = record(policy, chosen, numbers, progress=watch)
         save(episodes, file)
     steps = int(episodes.arrays["length"].sum())
     out.print(
