@@ -122,7 +122,7 @@ def read_card(file: Path) -> Card:
     rule(card.format == FORMAT, f"format of {place}", f"{FORMAT}", card.format, "written by another version")
     rule(card.network in ("set", "mlp"), f"network of {place}", "set or mlp", card.network, "written by hand?")
     known = (None, "expert", "augmented")
-    rule(card.base in known, f"base of {place}", "null, expert or augmented", card.base, "written by hand?")
+    rule(card.base in known, f"base of {place}", "null, expert, augmented or cohesive", card.base, "written by hand?")
     for table, names in inputs.columns().items():
         there = list(card.columns.get(table, ()))
         odd = sorted(set(there) ^ set(names)) or "another order"

@@ -19,7 +19,7 @@ from fovconn_env.kernel.yaw_estimator import NONE
 from fovconn_env.scenarios import Scenario
 from fovconn_env.settings import check_numbers, rule
 
-_GAINS = "k_v clamp k_obs d_min_obs d_max_obs closest excite forward".split()
+_GAINS = "k_v clamp k_obs d_min_obs d_max_obs closest excite forward gather".split()
 GAINS = np.dtype((np.record, [(name, "f8") for name in _GAINS]))
 
 
@@ -35,9 +35,10 @@ class Gains:
     closest: float = 1.02  # m, distances are kept above this
     excite: float = 0.2  # m/s, see `excite`; 0 switches it off
     forward: float = 0.0  # share of the neighbours' velocity, see `feed_forward`; 0 is the paper's law
+    gather: float = 0.0  # 1/s, see `gather`; 0 is the paper's law
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="k_v clamp k_obs d_min_obs d_max_obs closest", at_least="excite forward")
+        check_numbers(self, above="k_v clamp k_obs d_min_obs d_max_obs closest", at_least="excite forward gather")
         hint = "at 1 a team without a leader drifts for ever"
         rule(self.forward < 1.0, "Gains.forward", "below 1", self.forward, hint)
         ordered = self.d_min_obs < self.closest < self.d_max_obs
@@ -155,6 +156,21 @@ def excite(neighbors, p, g):
 
 
 @kernel
+def gather(me, neighbors, p, g):
+    """Velocity (m/s, yaw frame) towards all neighbours farther than D1 whose bearing is known; the leader has none."""
+    vx = vy = vz = 0.0
+    for j in range(neighbors.shape[0] if g.gather > 0.0 and me.is_leader == 0.0 else 0):
+        row = neighbors[j]
+        if row.present == 0.0:
+            continue
+        speed = g.gather * max(np.float64(row.distance) - p.D1, 0.0)
+        vx += speed * np.float64(row.bearing_x)  # zero where it is unknown
+        vy += speed * np.float64(row.bearing_y)
+        vz += speed * np.float64(row.bearing_z)
+    return vx, vy, vz
+
+
+@kernel
 def feed_forward(neighbors, g):
     """Share `forward` of the link-weighted mean velocity of the neighbours whose yaw is known, m/s, yaw frame."""
     vx = vy = vz = total = 0.0
@@ -195,7 +211,8 @@ def control(own, neighbors, ranges, params, gains, actions):
         cx, cy, cz, yaw_rate = maintain(me, neighbors[r], p, g)
         ox, oy, oz = repel(ranges[r], g)
         cx += excite(neighbors[r], p, g)
-        wx, wy, wz = cx + ox + sx, cy + oy + sy, cz + oz + sz
+        gx, gy, gz = gather(me, neighbors[r], p, g)
+        wx, wy, wz = cx + ox + sx + gx, cy + oy + sy + gy, cz + oz + sz + gz
         fx, fy, fz = up_to_stick(feed_forward(neighbors[r], g), (wx, wy, wz), (sx, sy, sz))
         # of the sum: the operator cannot outvote a part of it
         vx, vy, vz = saturate(wx + fx, wy + fy, wz + fz, p.speed_limit)

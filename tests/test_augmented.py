@@ -1,9 +1,9 @@
-"""The expert with velocity feed-forward: its law in vectors, what it leaves to the expert, and how fast it is."""
+"""The expert with velocity feed-forward, and with a pull together: laws in vectors, what they leave to the expert, speed."""
 
 import numpy as np
 import pytest
 
-from baselines import Augmented, AugmentedGains, Expert, Gains
+from baselines import Augmented, AugmentedGains, Cohesive, CohesiveGains, Expert, Gains
 from baselines.expert import control, up_to_stick
 from fovconn_env.scenarios import scenario
 from fovconn_env.simulator import Simulator
@@ -31,13 +31,20 @@ def forwarded(neighbors, wish, stick, share):
     return f - f @ s * s + min(f @ s, lack) * s
 
 
+def gathered(own, neighbors, chosen, rate):
+    """Pull together (3,) of one robot from its rows, straight from the docstring of baselines/cohesive.py."""
+    far = [row for row in neighbors if row.present and row.distance > chosen.camera.D1 and not own.is_leader]
+    return sum((rate * (row.distance - chosen.camera.D1) * vector(row, "bearing_") for row in far), np.zeros(3))
+
+
 @pytest.mark.nojit
+@pytest.mark.parametrize("kind", [Augmented, Cohesive])
 @pytest.mark.parametrize("dynamics", ["kinematic", "quadrotor"])
-def test_law(dynamics):
-    """The action against the formulas; feed-forward acts, and the bound on the leader does."""
+def test_law(kind, dynamics):
+    """The action against the formulas; feed-forward and pull act, and the bound on the leader does."""
     chosen = small(n_agents=5, dynamics=dynamics, course=SETTLED)
-    policy, simulator, top = Augmented(chosen), Simulator(chosen), chosen.speed_limit + chosen.stick_speed
-    gains, observations, moved, bounded = policy.gains, simulator.reset(6), 0, 0
+    policy, simulator, top = kind(chosen), Simulator(chosen), chosen.speed_limit + chosen.stick_speed
+    gains, observations, moved, bounded, pulled = policy.gains, simulator.reset(6), 0, 0, 0
     for push in recorded_actions(few(60, 6), 5, size=0.3):
         own, neighbors, ranges = exact(policy, observations)
         actions = np.full((5, 4), np.nan)
@@ -46,6 +53,9 @@ def test_law(dynamics):
             v, w = ref.maintain(own[i], neighbors[i], chosen, gains)
             stick = vector(own[i], "stick_")
             wish = v + ref.repel(ranges[i], gains) + excited(neighbors[i], gains) + stick
+            pull = gathered(own[i], neighbors[i], chosen, gains.gather)
+            wish = wish + pull
+            pulled += np.abs(pull).max() > 1e-3
             f = forwarded(neighbors[i], wish, stick, gains.forward)
             v = ref.saturate(wish + f, chosen.speed_limit) - stick
             expected = np.append(v / top, np.clip(w / chosen.yaw_rate_limit, -1, 1))
@@ -57,6 +67,7 @@ def test_law(dynamics):
         if simulator.over[0]:
             observations = simulator.reset()
     assert moved > few(100, 5)
+    assert (pulled > few(100, 5)) == (kind is Cohesive)
     assert bounded >= few(10, 0)  # six steps are too few for the neighbours to follow
 
 
@@ -64,7 +75,7 @@ def test_law(dynamics):
 def test_without_feed_forward_it_is_the_expert():
     chosen = small(n_agents=5, course=SETTLED)
     expert, simulator = Expert(chosen), Simulator(chosen)
-    still, moving = Augmented(chosen, AugmentedGains(forward=0.0)), Augmented(chosen)
+    still, moving = Cohesive(chosen, CohesiveGains(forward=0.0, gather=0.0)), Augmented(chosen)
     observations, differs = simulator.reset(6), False
     for push in recorded_actions(few(60, 6), 5, size=0.3):
         actions = expert.act(observations)

@@ -285,7 +285,10 @@ BROKEN = {
     "another layout": (other_layout, r"columns 'self' of .* differs in \['team_share'\]; train it anew"),
     "other scales": (lambda f: rewritten(f, inputs="0" * 16), "inputs of .* must be .* units, frames or scales"),
     "another format": (lambda f: rewritten(f, format=2), "format of .* must be 1, got 2"),
-    "unknown base": (lambda f: rewritten(f, base="omni"), "base of .* must be null, expert or augmented, got 'omni'"),
+    "unknown base": (
+        lambda f: rewritten(f, base="omni"),
+        "base of .* must be null, expert, augmented or cohesive, got 'omni'",
+    ),
     "unknown network": (lambda f: rewritten(f, network="gnn"), "network of .* must be set or mlp, got 'gnn'"),
     "arrays of another": (lambda f: rewritten(f, network="mlp"), "arrays of .* must be those of a 'mlp' network"),
     "nan": (with_nan, "term of .* must be finite float32 numbers"),

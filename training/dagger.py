@@ -26,7 +26,7 @@ from training.rows import Rows
 class DaggerSettings:
     """Hyper-parameters; why these: docs/training.md."""
 
-    expert: str = "expert"  # the law to imitate: expert or augmented
+    expert: str = "expert"  # the law to imitate: expert, augmented or cohesive
     n_worlds: int = 64
     n_steps: int = 200  # flown in an iteration
     every: int = 4  # of these steps, every such one is labelled: neighbouring ones are nearly the same

@@ -24,7 +24,7 @@ from training.ppo import PPOSettings, Team
 class ResidualSettings(PPOSettings):
     """PPO's, law and bound."""
 
-    base: str = "augmented"
+    base: str = "cohesive"
     bound: float = 0.3  # of 2.5 m/s and 1 rad/s
     anchor: float = 0.1  # weight of the divergence from the law
 

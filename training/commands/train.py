@@ -166,7 +166,7 @@ def residual_command(
     folder: Out = None,
     resume: Resume = False,
     network: Kind = "set",
-    base: Annotated[str, typer.Option(help=f"Law to correct: {', '.join(BASES)}.")] = "augmented",
+    base: Annotated[str, typer.Option(help=f"Law to correct: {', '.join(BASES)}.")] = "cohesive",
     filtered: Filtered = False,
     tune: Tune = None,
     threads: Threads = None,
@@ -174,7 +174,7 @@ def residual_command(
 ) -> None:
     """PPO learns a bounded correction of a law's action; the first policy is the law itself.
 
-    fovconn train residual --base augmented --steps 20000000 --out out/residual
+    fovconn train residual --steps 15000000 --out out/residual
     """
     from training.residual import Residual, ResidualSettings
 
