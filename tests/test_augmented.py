@@ -1,4 +1,4 @@
-"""The expert with velocity feed-forward, and with a pull together: laws in vectors, what they leave to the expert, speed."""
+"""The expert with velocity feed-forward, and with a pull together: laws in vectors, what they leave, and speed."""
 
 import numpy as np
 import pytest
