@@ -20,7 +20,7 @@ from baselines import find_policy, load_policy
 from baselines.inputs import OWN, ROW
 from baselines.learned import from_file
 from baselines.networks import FlatEncoder, SetEncoder
-from fovconn_env import Simulator, layout, scenario
+from fovconn_env import PRESETS, Simulator, layout, scenario
 from tests.helpers import recorded_actions
 from training import learning
 from training.bc import BC, BCSettings
@@ -449,3 +449,21 @@ def test_an_unknown_algorithm(fovconn):
     shown = fovconn("train", "sac")
     assert shown.status == 2
     assert "No such command 'sac'" in shown.err
+
+
+# --------------------------------------------------------------------------------------------------- quickstart
+def test_the_quickstart_runs(tmp_path, monkeypatch):
+    """All cells of docs/quickstart.ipynb in order, with short flights and a short training."""
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    monkeypatch.chdir(tmp_path)
+    for name, preset in PRESETS.items():
+        monkeypatch.setitem(PRESETS, name, dataclasses.replace(preset, max_cycles=20, warmup=0.1))
+    cells = json.loads((ROOT / "docs" / "quickstart.ipynb").read_text("utf-8"))["cells"]
+    sources = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    assert sum("STEPS = 1_000_000" in source for source in sources) == 1
+    namespace = {}
+    for k, source in enumerate(sources):
+        short = source.replace("STEPS = 1_000_000", "STEPS = 80_000").replace("range(400)", "range(15)")
+        exec(compile(short, f"cell {k}", "exec"), namespace)
+    assert namespace["best"]["steps"] >= 70_000
+    assert namespace["model"].num_timesteps > 0
