@@ -17,11 +17,17 @@ from typing import Any
 import numpy as np
 
 from baselines import inputs
+from baselines.augmented import Augmented
+from baselines.cohesive import Cohesive
+from baselines.expert import Expert
+from baselines.policy import Policy
 from fovconn_env.settings import rule
 
 SUFFIX = ".safetensors"
 FOLDER = Path(__file__).parent / "weights"  # those of this repository
 FORMAT = 1
+# laws that a network may correct, or imitate: without memory
+BASES: dict[str, type[Policy]] = {"expert": Expert, "augmented": Augmented, "cohesive": Cohesive}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,8 +127,8 @@ def read_card(file: Path) -> Card:
         raise ValueError(f"{place} must be the card of a learned policy, got {problem}: is it another file?") from None
     rule(card.format == FORMAT, f"format of {place}", f"{FORMAT}", card.format, "written by another version")
     rule(card.network in ("set", "mlp"), f"network of {place}", "set or mlp", card.network, "written by hand?")
-    known = (None, "expert", "augmented")
-    rule(card.base in known, f"base of {place}", "null, expert, augmented or cohesive", card.base, "written by hand?")
+    known = f"null or one of {', '.join(BASES)}"
+    rule(card.base is None or card.base in BASES, f"base of {place}", known, card.base, "written by hand?")
     for table, names in inputs.columns().items():
         there = list(card.columns.get(table, ()))
         odd = sorted(set(there) ^ set(names)) or "another order"

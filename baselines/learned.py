@@ -14,16 +14,12 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from baselines.augmented import Augmented
-from baselines.cards import Card, read
-from baselines.cohesive import Cohesive
-from baselines.expert import Expert
+from baselines.cards import BASES, Card, read
 from baselines.inputs import ACTION, EMPHASIS, LAMBDA2, OWN, ROW, SHARE, gain, scales
 from baselines.policy import Policy
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.scenarios import Scenario
 
-BASES: dict[str, type[Policy]] = {"expert": Expert, "augmented": Augmented, "cohesive": Cohesive}
 _ONE = np.float32(1.0)
 _FAR = np.float32(80.0)  # where exp is still finite
 

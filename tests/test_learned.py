@@ -158,14 +158,15 @@ def test_an_output_is_a_velocity_in_any_scenario(seen, tmp_path):
         np.testing.assert_allclose(flown[inside], (actions * inputs.full_scale(base))[inside], rtol=1e-5, atol=1e-6)
 
 
-def test_a_correction_is_bounded_and_zero_is_the_law(seen, tmp_path):
-    chosen, file = small(), made(tmp_path, base="augmented", bound=0.2)
-    law = Augmented(chosen).decide(seen)
+@pytest.mark.parametrize("base", cards.BASES)
+def test_a_correction_is_bounded_and_zero_is_the_law(base, seen, tmp_path):
+    chosen, file = small(), made(tmp_path, base=base, bound=0.2)
+    law = cards.BASES[base](chosen).decide(seen)
     far = from_file(file)(chosen).decide(seen)
     assert 0.05 < np.abs(far - law).max() <= 0.2 + 1e-6
-    arrays = arrays_of("set", "augmented")
+    arrays = arrays_of("set", base)
     arrays["action"][:], arrays["action_bias"][:] = 0.0, 0.0
-    cards.write(file, arrays, network="set", base="augmented", bound=0.2, observation_size=205)
+    cards.write(file, arrays, network="set", base=base, bound=0.2, observation_size=205)
     np.testing.assert_array_equal(from_file(file)(chosen).decide(seen), law)
 
 
@@ -287,7 +288,7 @@ BROKEN = {
     "another format": (lambda f: rewritten(f, format=2), "format of .* must be 1, got 2"),
     "unknown base": (
         lambda f: rewritten(f, base="omni"),
-        "base of .* must be null, expert, augmented or cohesive, got 'omni'",
+        "base of .* must be null or one of expert, augmented, cohesive, got 'omni'",
     ),
     "unknown network": (lambda f: rewritten(f, network="gnn"), "network of .* must be set or mlp, got 'gnn'"),
     "arrays of another": (lambda f: rewritten(f, network="mlp"), "arrays of .* must be those of a 'mlp' network"),

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from baselines.cards import BASES
 from baselines.inputs import ACTION
-from baselines.learned import BASES
 from fovconn_env import Scenario
 from fovconn_env.settings import check_numbers, rule
 from training.learning import Algorithm, Network, actor_parameters, make_model, mean_action, part

@@ -13,7 +13,7 @@ from typing import Any
 
 import torch
 
-from baselines.learned import BASES
+from baselines.cards import BASES
 from fovconn_env import Scenario
 from fovconn_env.settings import check_numbers, rule
 from training.learning import Network

@@ -11,8 +11,9 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
+from baselines.cards import BASES
 from baselines.inputs import ACTION, gain
-from baselines.learned import BASES, corrected
+from baselines.learned import corrected
 from baselines.safety import Filter
 from fovconn_env import Scenario, Simulator
 from fovconn_env.settings import check_count, rule

@@ -10,7 +10,8 @@ from typing import Annotated, Any
 import typer
 
 from baselines import POLICIES, find_policy
-from baselines.learned import BASES, Learned
+from baselines.cards import BASES
+from baselines.learned import Learned
 from fovconn_env import PRESETS, Scenario, scenario
 from fovconn_env.settings import rule
 from training.commands.options import OUT, check_folder, parse, read_recording
