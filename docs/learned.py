@@ -6,6 +6,7 @@ Policies that have no name are flown from docs/results/weights: other training s
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from pathlib import Path
@@ -74,13 +75,18 @@ def _row(row: Row, found: dict[Cell, Evaluation]) -> dict[str, Any]:
     mine, other = (found[Cell(place(policy), row.task)] for policy in (row.policy, row.against))
     report, base = summary(mine), summary(other)
     told: dict[str, Any] = {"policy": row.policy, "against": row.against, "scenario": row.name}
-    told |= {"changes": dict(row.changes), "progress": report["progress"], "progress_against": base["progress"]}
+    told |= {"changes": dict(row.changes)}
+    told |= {"progress": _number(report["progress"]), "progress_against": _number(base["progress"])}
     for name, short in (("never_disconnected", "kept"), ("success", "success")):
         difference = paired_share_difference(mine.episodes[name], other.episodes[name])
         told[short] = [report[name], *report[f"{name}_interval"]]
         told |= {f"{short}_against": base[name], f"{short}_difference": list(difference)}
     told["first"] = {name: mine.episodes[name][:SAMPLE].tolist() for name in (*SHARES, "duration")}
     return told
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None  # no stick, no progress
 
 
 def main() -> None:
