@@ -28,12 +28,7 @@ SCRIPTS = ("data.js", "shapes.js", "view.js", "plots.js", "page.js")
 _WEB = Path(__file__).parent / "web"
 _BELOW, _ABOVE, _MARGIN = 1.0, 1.0, 4.0  # m of floor below, of roofs above and of ground around the flight
 _GRID = 5.0  # m
-_ENDINGS = {
-    "success": "all way points reached",
-    "collision": "collision",
-    "disconnected": "team split",
-    "time": "time is up",
-}
+_ENDINGS = {"success": "success", "collision": "collision", "disconnected": "team split", "time": "time is up"}
 
 
 def write_page(flight: Flight, path: Path, *, progress: Callable[[int, int], None] | None = None) -> Path:

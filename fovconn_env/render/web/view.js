@@ -21,6 +21,7 @@ class View {
     this.at = Array.from({ length: flight.n }, () => new L.Vector3());
     this.painters = []; // called with a new theme
     this.labels = [];
+    this.fine = flight.n > 12 ? 0.6 : 1; // a large team is drawn thinner
     this._light();
     this._ground();
     this._course();
@@ -92,7 +93,7 @@ class View {
       trail.frustumCulled = false;
       const shadow = new L.Mesh(new L.CircleGeometry(1, 24), this._paint(flat(), "shadow"));
       const plumb = new L.LineSegments(points([[0, 0, 0], [0, 0, -1]]), this._paint(line(0.9), "shadow"));
-      const number = this._label(name, String(i + 1), 64, 26);
+      const number = this._label(name, String(i + 1), 64, 26 * Math.sqrt(this.fine));
       number.center.set(0.5, -0.25);
       this._add(body, cone, trail, shadow, plumb);
       return { body, cone, trail, shadow, plumb, number };
@@ -183,10 +184,10 @@ class View {
     let tubes = 0, heads = 0;
     for (const [i, j, weight, own, other] of linksAt(this.flight, this.now)) {
       const [eye, seen] = own ? [this.at[i], this.at[j]] : [this.at[j], this.at[i]], mutual = own && other;
-      const middle = new L.Vector3().addVectors(eye, seen).divideScalar(2), radius = (0.7 + 2.2 * weight) * this._pixel(middle);
+      const middle = new L.Vector3().addVectors(eye, seen).divideScalar(2), radius = this.fine * (0.7 + 2.2 * weight) * this._pixel(middle);
       let end = seen;
       if (!mutual) {
-        const size = Math.max(2.4 * radius, 4.5 * this._pixel(seen));
+        const size = Math.max(2.4 * radius, 4.5 * this.fine * this._pixel(seen));
         const along = new L.Vector3().subVectors(eye, seen).normalize(), gap = 1.5 * this.robots[i].body.scale.x;
         const tip = new L.Vector3().copy(seen).addScaledVector(along, gap);
         end = new L.Vector3().copy(tip).addScaledVector(along, 2.6 * size);
