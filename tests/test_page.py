@@ -18,8 +18,8 @@ from fovconn_env.render import page as page_module
 from fovconn_env.render import palette
 from fovconn_env.render.page import SCRIPTS, arrays, instants, settings, write_page
 from fovconn_env.scenarios import scenario
-from tests.browser import CHROMIUM, Browser
-from tests.test_render import make_flight
+from tests.chromium import CHROMIUM, Browser
+from tests.made_flight import make_flight
 
 WEB = Path(page_module.__file__).with_name("web")
 FLIGHT = make_flight(obstacles=True)

@@ -9,7 +9,7 @@ import pytest
 
 from fovconn_env.render.rerun_log import body_strips, camera_strips, prisms, write_rrd
 from fovconn_env.render.shapes3d import attitudes
-from tests.test_render import make_flight
+from tests.made_flight import make_flight
 
 FLIGHT = make_flight(obstacles=True)._replace(tilt=np.full((81, 3, 2), (0.1, -0.2)))
 

@@ -172,7 +172,7 @@ def _log_links(rr: Any, stream: Any, flight: Flight) -> None:
         else:
             gap = _GAP / np.maximum(np.linalg.norm(seen - eye, axis=-1, keepdims=True), 2.0 * _GAP)
             look = rr.Arrows3D
-            columns = look.columns(origins=eye, vectors=(1.0 - gap) * (seen - eye), radii=0.02 + 0.06 * weight)
+            columns = look.columns(origins=eye, vectors=(1.0 - gap) * (seen - eye), radii=0.03 + 0.07 * weight)
         stream.send_columns(f"world/links/{name}", when, columns.partition(counts))
         stream.log(f"world/links/{name}", look.from_fields(colors=_rgb(getattr(THEME, name))), static=True)
 
