@@ -37,10 +37,10 @@ test-integrations: $(LIBRARIES)/current/installed $(LIBRARIES)/older/installed  
 	$(LIBRARIES)/older/bin/python -m pytest tests/integrations $(ARGS)
 
 results: $(VENV)/installed-demo  ## fly all that docs/results.md and the README's table show (about 40 min), and write them
-	$(BIN)/fovconn eval --suite full --out out/results/full --record docs/results/full.json
-	$(BIN)/fovconn eval $(LONG) --seeds 0-999 --out out/results/thousand --record docs/results/thousand.json
-	$(BIN)/fovconn eval $(LONG) --seeds 0-999 --set stick_speed=2.5 --out out/results/fast --record docs/results/fast.json
-	$(BIN)/fovconn figures --ablations --seeds 0-319 --out out/results/ablations --record docs/results/ablations.json
+	$(BIN)/fovconn eval --suite full --out out/results/full --json docs/results/full.json
+	$(BIN)/fovconn eval $(LONG) --seeds 0-999 --out out/results/thousand --json docs/results/thousand.json
+	$(BIN)/fovconn eval $(LONG) --seeds 0-999 --set stick_speed=2.5 --out out/results/fast --json docs/results/fast.json
+	$(BIN)/fovconn figures --ablations --seeds 0-319 --out out/results/ablations --json docs/results/ablations.json
 	$(BIN)/python docs/levels.py
 	cp out/results/ablations/ablations.png docs/images/
 	cp $(addprefix out/results/full/plots/,$(SHOWN)) docs/images/

@@ -115,15 +115,17 @@ class Springs(Flock):
         return self.stiffness * (near - rest) * np.where(near < rest, stiffer, weaker)
 
 
-def steer(expert: Expert, flat: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+def steer(expert: Expert, flat: np.ndarray, velocity: np.ndarray, *, alone: bool = True) -> np.ndarray:
     """Actions (R, 4), saturated as a sum: velocity (R, 3; m/s, yaw frame), the expert's repulsion and the stick.
 
-    To an expert without neighbours, the velocity is what the operator pulls with. The yaw rate is 0.
+    To the expert, the velocity is what the operator pulls with. Alone it sees no neighbours and the yaw rate is 0;
+    else it keeps its links as well.
     """
     top = expert.scenario.speed_limit + expert.scenario.stick_speed
     pulled = flat.copy()
     own, neighbors, _ = expert.rows(pulled)
-    neighbors["present"] = 0.0
+    if alone:
+        neighbors["present"] = 0.0
     for k, axis in enumerate("xyz"):
         own[f"stick_{axis}"] += velocity[:, k]
     actions = expert.decide(pulled)

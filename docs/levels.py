@@ -21,9 +21,10 @@ from training.evaluation.flights import SHARES
 from training.evaluation.results import SAMPLE, run_block, write_json
 
 ROOT = Path(__file__).parents[1]
-POLICIES = ("expert", "augmented", "springs", "oracle")
+POLICIES = ("expert", "expert-flooding", "augmented", "springs", "oracle")
 SEEDS = range(128)
-LARGE = 12  # robots; larger teams fly a quarter of the seeds
+LARGE = 12  # robots; larger teams fly half of the seeds
+MEASURES = (*SHARES, "never_disconnected_interval", "lambda2_error_median", "bytes_per_second")
 
 
 def levels() -> dict[str, list[Scenario]]:
@@ -34,7 +35,7 @@ def levels() -> dict[str, list[Scenario]]:
 
 def seeds_of(chosen: Scenario) -> range:
     """The seeds that a level is flown from."""
-    return SEEDS if chosen.n_agents <= LARGE else SEEDS[: len(SEEDS) // 4]
+    return SEEDS if chosen.n_agents <= LARGE else SEEDS[: len(SEEDS) // 2]
 
 
 def changes(chosen: Any, usual: Any) -> dict[str, str]:
@@ -71,7 +72,7 @@ def record(found: dict[Cell, Evaluation], seconds: float) -> dict[str, Any]:
 def _measures(result: Evaluation) -> dict[str, Any]:
     report = summary(result)
     first = {name: result.episodes[name][:SAMPLE].tolist() for name in (*SHARES, "duration")}
-    return {name: report[name] for name in (*SHARES, "never_disconnected_interval")} | {"first": first}
+    return {name: report[name] for name in MEASURES} | {"first": first}
 
 
 def _shown(value: Any) -> str:

@@ -3,8 +3,9 @@
 A table stands between `<!-- KIND:NAME -->` and `<!-- end -->`. KIND is `layout` (a table of `fovconn_env.layout`, or
 `layout:scales`, what the named bounds are), `settings` (fields of a settings class, with the comment beside each),
 `bench` (rates, bars or machine of docs/benchmark.json, which `fovconn bench --json` writes), `results`
-(a table of a record in docs/results, which `make results` writes) or `levels` (of one scenario, from
-docs/results/levels.json, which docs/levels.py writes).
+(a table of a record in docs/results, which `make results` writes), `levels` (of one scenario, from
+docs/results/levels.json, which docs/levels.py writes) or `keys` (of `fovconn play`, one group of its key table, `mouse`
+or `gamepad`).
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from baselines import Gains, find_policy
 from fovconn_env import layout, scenarios, settings
 from fovconn_env.layout import Column
 from training.bench.report import bar_table, machine_line, rate_table, restless
+from training.play import gamepad, keyboard
 
 ROOT = Path(__file__).parents[1]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -45,8 +47,15 @@ _FIELD = re.compile(r"^    (\w+): (.+?) = (.+?)(?:  # (.*))?$", re.MULTILINE)
 def rendered(text: str) -> str:
     """A page with its generated tables made anew."""
     kinds = {"layout": layout_table, "settings": settings_table, "bench": bench_table}
-    kinds |= {"results": results_table, "levels": levels_table}
+    kinds |= {"results": results_table, "levels": levels_table, "keys": keys_table}
     return _MARKED.sub(lambda found: f"{found[1]}\n{kinds[found[2]](found[3])}\n\n{found[4]}", text)
+
+
+def keys_table(name: str) -> str:
+    """The Markdown table of a group of keys of `fovconn play`."""
+    pad = [*gamepad.AXES, *((button.name, button.words) for button in gamepad.BUTTONS)]
+    rows = {"mouse": keyboard.MOUSE, "gamepad": pad}.get(name) or keyboard.rows(name)
+    return _markdown([name, "does"], [[f"`{keys}`", words] for keys, words in rows])
 
 
 def layout_table(name: str) -> str:
@@ -76,8 +85,9 @@ def settings_table(name: str) -> str:
     rows = []
     for field, annotation, default, comment in _FIELD.findall(inspect.getsource(kind)):
         factory = re.fullmatch(r"field\(default_factory=(\w+)\)", default)
-        choices = re.fullmatch(r"Literal\[(.*)\]", annotation)
-        words = " or ".join(f'`"{word}"`' for word in ast.literal_eval(f"({choices[1]},)")) if choices else ""
+        choices = re.fullmatch(r"Literal\[(.*)\](?: \| (\w+))?", annotation)
+        words = [f'`"{word}"`' for word in ast.literal_eval(f"({choices[1]},)")] if choices else []
+        words = " or ".join(words + ([f"a `{choices[2]}`"] if choices and choices[2] else []))
         meaning = "; ".join(filter(None, [words, comment])) or (f"see {factory[1]} below" if factory else "")
         rows.append([f"`{field}`", f"`{factory[1]}()`" if factory else f"`{default}`", meaning])
     return _markdown(["setting", "default", "unit and meaning"], rows)
@@ -103,19 +113,29 @@ def results_table(name: str) -> str:
 
 
 def levels_table(name: str) -> str:
-    """The Markdown table of a scenario's levels: settings, and what each policy keeps and finishes; or "run"."""
+    """The Markdown table of a scenario's levels: settings, and what each policy keeps and finishes.
+
+    name: "run" for a line of text instead, a scenario, or a scenario and "lambda2" for what its estimates are worth and
+    what their messages weigh, by power iteration and by flooding.
+    """
     report = json.loads((ROOT / "docs" / "results" / "levels.json").read_text("utf-8"))
     if name == "run":
         return _run_line(report)
-    rows, policies = [], list(report["levels"][name][0]["policies"])
-    for number, level in enumerate(report["levels"][name], start=1):
+    name, _, what = name.partition(" ")
+    rows, levels = [], report["levels"][name]
+    policies = ["expert", "expert-flooding"] if what else list(levels[0]["policies"])
+    for number, level in enumerate(levels, start=1):
         settings = " ".join(f"`{setting}={value}`" for setting, value in level["changes"].items()) or "-"
-        shares = [
-            f"{100 * found['never_disconnected']:.0f} / {100 * found['success']:.0f}"
-            for found in (level["policies"][policy] for policy in policies)
-        ]
-        rows.append([f"{number}", settings, f"{level['episodes']}", *shares])
+        found = [level["policies"][policy] for policy in policies]
+        if what:
+            cells = [f"{each['bytes_per_second']:,.0f}" for each in found]
+            errors = [100 * each["lambda2_error_median"] for each in found]
+            cells += [f"{error:.0f} %" if error >= 10 else f"{error:.2g} %" for error in errors]
+        else:
+            cells = [f"{100 * each['never_disconnected']:.0f} / {100 * each['success']:.0f}" for each in found]
+        rows.append([f"{number}", settings, f"{level['episodes']}", *cells])
     head = [f"{policy} †" if find_policy(policy).oracle else policy for policy in policies]
+    head = [f"{quantity}, {policy}" for quantity in ("B/s", "error") for policy in head] if what else head
     return _markdown(["level", "settings", "episodes", *head], rows)
 
 

@@ -14,8 +14,10 @@ import pettingzoo
 from fovconn_env.corridor import Corridor
 from fovconn_env.flight import Flight
 from fovconn_env.graph import Graph
+from fovconn_env.leader import Recorded
 from fovconn_env.maps import Forest, Map
 from fovconn_env.parallel import ParallelEnv, env, parallel_env, raw_env
+from fovconn_env.recording import Recorder, Recording
 from fovconn_env.scenarios import LEVELS, PRESETS, Scenario, scenario
 from fovconn_env.settings import (
     Airframe,
@@ -33,8 +35,8 @@ from fovconn_env.settings import (
     YawEstimator,
 )
 from fovconn_env.simulator import Simulator
+from fovconn_env.version import __version__
 
-__version__ = "0.1.0"
 __all__ = [
     "LEVELS",
     "PRESETS",
@@ -54,11 +56,15 @@ __all__ = [
     "PowerIteration",
     "Radio",
     "Rangefinder",
+    "Recorded",
+    "Recorder",
+    "Recording",
     "Reward",
     "Scenario",
     "Simulator",
     "Start",
     "YawEstimator",
+    "__version__",
     "env",
     "parallel_env",
     "raw_env",

@@ -6,6 +6,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+import numpy.typing as npt
 from gymnasium import spaces
 
 from fovconn_env import layout
@@ -65,6 +66,10 @@ class JointEnv(gymnasium.Env):
         observation = self.simulator.observations[0].copy()
         self._viewer.show(self.simulator)
         return observation, reward, bool(episode["terminated"]), bool(episode["truncated"]), self._info()
+
+    def push(self, stick: npt.ArrayLike) -> None:
+        """Give a human leader's stick, (3,) m/s in its yaw frame, before a step; see `Simulator.push`."""
+        self.simulator.push(stick)
 
     def graph(self) -> Graph:
         """The observations as a graph, as in the PettingZoo environment."""

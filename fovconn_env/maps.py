@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -67,25 +68,34 @@ class Map:
         """
         result = cls()
         for entry in read_entries(Path(path), scale):
-            known = len(result.space.shapes)
             try:
-                for shape, words in entry.shapes:
-                    getattr(result, shape)(**words)
+                result.obstacle(entry.shapes)
             except ValueError as error:
                 raise ValueError(f"{path}: {entry.name}: {error}") from None
-            added = list(result.space.shapes)[known:]
-            for shape in added:
-                shape.source = added[0].source
         return result
 
     def to_file(self, path: str | Path) -> None:
         """Write the map as .json, from which `from_file` makes an equal one, bit for bit."""
-        obstacles: dict[int, list[tuple[str, dict[str, Any]]]] = {}
+        write_entries(Path(path), self.obstacles())
+
+    def obstacles(self) -> list[list[tuple[str, dict[str, Any]]]]:
+        """Every obstacle as the calls (method, arguments) that add its shapes, see `obstacle`; JSON-ready."""
+        found: dict[int, list[tuple[str, dict[str, Any]]]] = {}
         for shape in self.space.shapes:
             written = _written(shape)
             if written is not None:
-                obstacles.setdefault(shape.source, []).append(written)
-        write_entries(Path(path), list(obstacles.values()))
+                found.setdefault(shape.source, []).append(written)
+        return list(found.values())
+
+    def obstacle(self, shapes: Iterable[tuple[str, Mapping[str, Any]]]) -> Self:
+        """Add one obstacle of several shapes, each as a call: "circle", "wall" or "polygon", and its arguments."""
+        known = len(self.space.shapes)
+        for shape, words in shapes:
+            getattr(self, shape)(**words)
+        added = list(self.space.shapes)[known:]
+        for shape in added:
+            shape.source = added[0].source
+        return self
 
     def circle(self, center: npt.ArrayLike, radius: float, *, low: float = LOW, high: float = HIGH) -> Self:
         """Add a pillar: center (2,) and radius, m; low and high, m, its height interval."""

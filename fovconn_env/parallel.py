@@ -8,6 +8,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+import numpy.typing as npt
 import pettingzoo
 from gymnasium import spaces
 from pettingzoo.utils import parallel_to_aec
@@ -108,6 +109,10 @@ class ParallelEnv(pettingzoo.ParallelEnv):
             self.agents = []
         self._viewer.show(self.simulator)
         return observations, rewards, terminations, truncations, infos
+
+    def push(self, stick: npt.ArrayLike) -> None:
+        """Give a human leader's stick, (3,) m/s in its yaw frame, before a step; see `Simulator.push`."""
+        self.simulator.push(stick)
 
     def poses(self) -> np.ndarray:
         """The truth, (N, 4) float64: x, y, z, yaw of every robot in the world frame."""

@@ -15,6 +15,7 @@ import numpy as np
 from fovconn_env import layout
 from fovconn_env.corridor import Corridor
 from fovconn_env.kernel.types import PARAMS
+from fovconn_env.leader import Recorded
 from fovconn_env.maps import Forest, Map
 from fovconn_env.settings import (
     Airframe,
@@ -41,7 +42,7 @@ SWITCHES: dict[str, tuple[str, ...]] = {
     "lambda2": ("power", "flooding", "true", "none"),
     "relative_yaw": ("estimated", "true", "none"),
     "link": ("sight", "radio"),
-    "leader": ("waypoints", "none"),
+    "leader": ("waypoints", "none", "random", "human"),  # and behind them a Recorded
 }
 _PREFIXED = ("yaw", "power", "flooding", "reward")  # groups whose fields carry the group's name in Params
 
@@ -97,7 +98,7 @@ class Scenario:
     lambda2: Literal["power", "flooding", "true", "none"] = "power"  # "true" is an oracle
     relative_yaw: Literal["estimated", "true", "none"] = "estimated"  # "true" is an oracle
     link: Literal["sight", "radio"] = "sight"  # messages pass while A_ij > 0, or within d_max
-    leader: Literal["waypoints", "none"] = "waypoints"  # what moves the operator's stick
+    leader: Literal["waypoints", "none", "random", "human"] | Recorded = "waypoints"  # what moves the operator's stick
     leader_index: int = 0
     speed_limit: float = 1.5  # m/s, Euclidean norm
     yaw_rate_limit: float = 1.0  # rad/s
@@ -131,6 +132,8 @@ class Scenario:
             _check_group(name, getattr(self, name))
         for name, words in SWITCHES.items():
             value = getattr(self, name)
+            if name == "leader" and isinstance(value, Recorded):
+                continue
             rule(value in words, f"Scenario.{name}", "one of " + ", ".join(words), value, _closest(value, words))
         check_numbers(
             self,
@@ -150,12 +153,16 @@ class Scenario:
         apart = self.start.spacing > self.collision_robot
         rule(apart, "Start.spacing", f"above collision_robot ({self.collision_robot:g})", self.start.spacing, hint)
         self._check_faults()
+        if isinstance(self.leader, Recorded):
+            speed = np.linalg.norm(self.leader.sticks, axis=1).max(initial=0.0)
+            says, hint = f"at most stick_speed ({self.stick_speed:g})", "m/s; raise Scenario.stick_speed"
+            rule(bool(speed <= self.stick_speed * (1 + 1e-6)), "Recorded.sticks", says, float(speed), hint)
         if not isinstance(self.map, (Map, Forest, Corridor, type(None))):
             says, hint = "a Map, a Forest, a Corridor or None", "a file, .json or .svg, goes through Map.from_file"
             raise TypeError(f"Scenario.map must be {says}, got {self.map!r}: {hint}")
         if isinstance(self.map, Corridor):
             hint = "a Corridor stands across the second leg of the leader's course"
-            rule(self.leader != "none", "Scenario.leader", "waypoints with a Corridor", self.leader, hint)
+            rule(self.leader != "none", "Scenario.leader", "any but none with a Corridor", self.leader, hint)
             rule(self.course.legs >= 2, "Course.legs", "at least 2 with a Corridor", self.course.legs, hint)
         if isinstance(self.map, Map):  # a Map can be added to, a scenario is frozen
             object.__setattr__(self, "map", copy.copy(self.map))
@@ -200,7 +207,10 @@ class Scenario:
     def params(self) -> np.ndarray:
         """The settings as the kernels read them: one PARAMS record, (1,)."""
         clock, axis = self.clock, self.camera.unit_axis
-        values: dict[str, Any] = {name: words.index(getattr(self, name)) for name, words in SWITCHES.items()}
+        values: dict[str, Any] = {
+            name: len(words) if isinstance(word := getattr(self, name), Recorded) else words.index(word)
+            for name, words in SWITCHES.items()
+        }
         round_time = clock.tick / clock.rounds
         values |= {"round_time": round_time, "travel_time": self.radio.delay * round_time, "step_time": self.step_time}
         quiet = max(self.camera.coast, self.radio.memory + values["travel_time"])
@@ -311,8 +321,8 @@ LEVELS: dict[str, tuple[dict[str, Any], ...]] = {
 def scenario(base: str | Scenario = "LeaderFollow-v0", /, *, level: int = 1, **changes: Any) -> Scenario:
     """A preset by id (with or without "fovconn/"), at a level of `LEVELS`, or a `Scenario`, with settings changed.
 
-    One setting of a group goes by its dotted name: `scenario("LeaderFollow-v0", **{"camera.a_min": 0.5})`; a map may be
-    the name of a file (`Map.from_file`).
+    One setting of a group goes by its dotted name: `scenario("LeaderFollow-v0", **{"camera.a_min": 0.5})`; a map and a
+    leader may be the name of a file (`Map.from_file`, `Recorded.from_file`).
     Raises `ValueError` for an unknown id or setting, naming the nearest ones there are, and for an unknown level.
     """
     if isinstance(base, str):
@@ -326,9 +336,10 @@ def scenario(base: str | Scenario = "LeaderFollow-v0", /, *, level: int = 1, **c
         raise TypeError(f"scenario must be an id or a Scenario, got {base!r}")
     elif level != 1:
         raise ValueError(f"level must go with an id, got {level!r} with a Scenario: it has the settings of its level")
-    file = changes.get("map")
-    if isinstance(file, (str, Path)) and Path(file).suffix:  # another word is Scenario's to refuse
-        changes["map"] = Map.from_file(file)
+    for name, kind in (("map", Map), ("leader", Recorded)):
+        file = changes.get(name)
+        if isinstance(file, (str, Path)) and Path(file).suffix:  # another word is Scenario's to refuse
+            changes[name] = kind.from_file(file)
     inner: dict[str, dict[str, Any]] = {}
     for name in [name for name in changes if "." in name]:
         group, _, field_name = name.partition(".")

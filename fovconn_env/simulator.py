@@ -9,22 +9,32 @@ import pickle
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from operator import attrgetter
+from typing import Literal, cast
 
 import numpy as np
+import numpy.typing as npt
 
 from fovconn_env import layout
 from fovconn_env.graph import Graph, observed_graph
-from fovconn_env.kernel import step
-from fovconn_env.scenarios import Scenario
+from fovconn_env.kernel import pilot, step
+from fovconn_env.leader import Recorded
+from fovconn_env.scenarios import SWITCHES, Scenario
 from fovconn_env.settings import as_numbers, check_count, rule
 from fovconn_env.world import NO_ACTIONS, NO_MASK, Scout, Start, allocate, clear, draw_faults, place, scratch
 
 WORLDS_PER_SLICE = 16  # fewer are not worth the way to another thread
+Leader = Literal["waypoints", "none", "random", "human"]
+_STICK = {column.name: k for k, column in enumerate(layout.SELF) if column.name.startswith("stick_")}
 
 
 def _cores() -> int:
     """Processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _check_index(field: str, value: object, count: int, what: str) -> None:
+    inside = isinstance(value, (int, np.integer)) and not isinstance(value, bool) and 0 <= value < count
+    rule(bool(inside), field, f"in 0..{count - 1}", value, f"{what} are counted from 0")
 
 
 class Simulator:
@@ -52,7 +62,7 @@ class Simulator:
         for name in ("n_agents", "course.legs"):
             here, there = attrgetter(name)(scenario), attrgetter(name)(rules)
             rule(there == here, f"starts.{name}", f"the scenario's ({here})", there, "a start must fit the flight")
-        self.scenario, self.n_worlds = scenario, n_worlds
+        self.scenario, self.starts, self.n_worlds = scenario, rules, n_worlds
         self.max_cycles = scenario.max_cycles
         self.params = scenario.params()
         self.world, self.state = allocate(scenario, n_worlds, 1, 1)
@@ -108,8 +118,7 @@ class Simulator:
         """The observations as a graph of world b, or of all worlds side by side; of what is true, see `adjacency`."""
         if b is None:
             return observed_graph(self.state, slice(None))
-        inside = isinstance(b, (int, np.integer)) and 0 <= b < self.n_worlds
-        rule(inside, "b", f"in 0..{self.n_worlds - 1}", b, "worlds are counted from 0")
+        _check_index("b", b, self.n_worlds, "worlds")
         return observed_graph(self.state, slice(b, b + 1))
 
     def privileged(self) -> np.ndarray:
@@ -117,8 +126,8 @@ class Simulator:
 
         A dead robot has a position and no heading: all else of it is 0.
         """
-        body, episode, lead = self.state.body, self.state.episode, self.scenario.leader_index
-        origin = body[:, lead, None]
+        body, episode = self.state.body, self.state.episode
+        origin = body[np.arange(self.n_worlds), episode["leader"], None]
         c, s = origin["cos_yaw"], origin["sin_yaw"]
 
         def turn(dx: np.ndarray, dy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -196,6 +205,85 @@ class Simulator:
             )
         self._run(step.ADVANCE, actions, NO_MASK, into)
         return self.observations
+
+    # ------------------------------------------------------------------------------------------------ operator
+    @property
+    def leader(self) -> Leader | Recorded:
+        """What moves the operator's stick in all worlds. "waypoints" and "human" may be set in place of each other.
+
+        It then holds for later episodes, too. A human's stick is zero until it is pushed; who flies along way points
+        goes on to the one that the leader has not reached.
+        """
+        number = int(self.params["leader"][0])
+        words = cast("tuple[Leader, ...]", SWITCHES["leader"])
+        return words[number] if number < len(words) else self.scenario.leader
+
+    @leader.setter
+    def leader(self, kind: Literal["waypoints", "human"]) -> None:
+        pair = ("waypoints", "human")
+        hint = "only a human and the operator of the way points hand over to each other"
+        rule(kind in pair, "Simulator.leader", " or ".join(pair), kind, hint)
+        rule(self.leader in pair, "Simulator.leader", f"{' or '.join(pair)} before {kind!r} is set", self.leader, hint)
+        if kind == self.leader:
+            return
+        self.params["leader"] = SWITCHES["leader"].index(kind)
+        for name in _STICK:
+            self.state.episode[name][~self.over] = 0.0
+        self._resteer()
+
+    def push(self, stick: npt.ArrayLike) -> None:
+        """Give a human leader's stick, (3,) for all worlds or (B, 3), m/s in the leader's yaw frame.
+
+        Longer than `Scenario.stick_speed` is clipped to it. It stays until the next push and is zero after a reset; the
+        leader's observation shows it at once. Worlds whose episode is over stay as they are. Raises `ValueError` for
+        another leader, a wrong shape or NaN, before anything changes.
+        """
+        rule(self.leader == "human", "Simulator.leader", "'human' for a push", self.leader, "the stick is not yours")
+        stick = as_numbers("stick", stick)
+        if stick.shape not in ((3,), (self.n_worlds, 3)):
+            hint = "vx, vy, vz of the leader's yaw frame"
+            raise ValueError(f"stick must have the shape (3,) or ({self.n_worlds}, 3), got {stick.shape}: {hint}")
+        if not np.isfinite(stick).all():
+            raise ValueError(f"stick must be finite, got {stick.tolist()}: m/s; is the joystick calibrated?")
+        speed, limit = np.hypot(np.hypot(stick[..., 0], stick[..., 1]), stick[..., 2]), self.scenario.stick_speed
+        over = speed > limit * (1.0 + 1e-12)  # what is clipped stays as it is when it is pushed again
+        stick = stick * np.where(over, limit / np.where(over, speed, 1.0), 1.0)[..., None]
+        for k, name in enumerate(_STICK):
+            self.state.episode[name][~self.over] = np.broadcast_to(stick, (self.n_worlds, 3))[~self.over, k]
+        self._show_stick()
+
+    def lead(self, robot: int, *, world: int | None = None) -> None:
+        """Make a robot the leader, of one world or of all, from the next step until the end of the episode.
+
+        Observations show it at once: is_leader and the stick, which for a human stays as it was pushed, now in the new
+        leader's yaw frame. Worlds whose episode is over stay as they are. Raises `ValueError` for a robot or world that
+        is not there, for a dead robot, and where there is no leader.
+        """
+        rule(self.leader != "none", "Simulator.leader", "any but none to lead", "none", "nobody holds a stick")
+        _check_index("robot", robot, self.scenario.n_agents, "robots")
+        if world is not None:
+            _check_index("world", world, self.n_worlds, "worlds")
+        chosen = ~self.over & (True if world is None else np.arange(self.n_worlds) == world)
+        dead = chosen & ~self.state.body["alive"][:, robot]
+        if dead.any():
+            raise ValueError(f"robot must be alive to lead, got uav_{robot}, dead in world {dead.argmax()}: see infos")
+        self.state.episode["leader"][chosen] = robot
+        self._resteer()
+
+    def _resteer(self) -> None:
+        """The operator's sticks anew, after a change of leader."""
+        world, state = self.world, self.state
+        pilot.resteer(state.body, world.waypoint, world.n_waypoints, world.stick, state.episode, self.params)
+        self._show_stick()
+
+    def _show_stick(self) -> None:
+        """Leaders and sticks into the observations, as a step writes them."""
+        going, own, episode = ~self.over, self.state.own_row, self.state.episode
+        leads = (np.arange(self.scenario.n_agents) == episode["leader"][:, None]) & self.state.body["alive"]
+        own["is_leader"][going] = leads[going]
+        for name, k in _STICK.items():
+            stick = np.clip(episode[name].astype(np.float32), self.world.low[k], self.world.high[k])
+            own[name][going] = np.where(leads, stick[:, None], 0.0)[going]
 
     def _generator(self, b: int) -> np.random.Generator:
         """A copy of world b's generator. Before the first reset a fresh one: copies of a new simulator then differ."""

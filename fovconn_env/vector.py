@@ -6,6 +6,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
@@ -92,6 +93,10 @@ class VectorEnv(gymnasium.vector.VectorEnv):
             observations[ended] = simulator.observations[ended]
         infos |= self._infos()
         return observations, rewards, terminations, truncations, infos
+
+    def push(self, sticks: npt.ArrayLike) -> None:
+        """Give human leaders' sticks, (3,) or (B, 3) m/s in their yaw frames, before a step; see `Simulator.push`."""
+        self.simulator.push(sticks)
 
     def graph(self, b: int | None = None) -> Graph:
         """The observations of world b as a graph, or of all worlds side by side: robot i of world b is node b N + i."""

@@ -15,6 +15,7 @@ from fovconn_env import layout
 from fovconn_env.corridor import Corridor
 from fovconn_env.kernel import step, types
 from fovconn_env.kernel.spectrum import N_VECTORS
+from fovconn_env.leader import Recorded
 from fovconn_env.maps import Forest, Map
 from fovconn_env.scenarios import Scenario
 from fovconn_env.settings import FAULTS, as_numbers
@@ -45,6 +46,7 @@ def allocate(scenario: Scenario, n_worlds: int, n_pieces: int, n_vertices: int) 
         waypoint=np.zeros((b, max(scenario.course.legs, 1), 3)),
         n_waypoints=np.zeros(b, np.int64),
         fault=np.zeros((b, len(scenario.faults)), types.FAULT),
+        stick=scenario.leader.sticks.copy() if isinstance(scenario.leader, Recorded) else np.zeros((0, 3)),
         low=low,
         high=high,
     )
@@ -84,6 +86,8 @@ def scratch(n_agents: int) -> types.Scratch:
     return types.Scratch(
         laplacian=np.empty((n, n)),
         spectrum=np.empty((n + N_VECTORS, n)),
+        order=np.arange(n, dtype=np.uint32),
+        near=np.empty((n * n, 2), np.uint32),
         who=np.empty(n * n, np.uint32),
         whom=np.empty(n * n, np.uint32),
         first=np.empty(n + 1, np.int64),

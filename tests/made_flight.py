@@ -54,4 +54,5 @@ def make_flight(n=3, obstacles=False) -> Flight:
         pieces=pieces,
         vertices=vertices,
         outcome="success",
+        leader=np.zeros(len(time), int),
     )

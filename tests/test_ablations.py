@@ -42,7 +42,7 @@ def test_figures_command(fovconn, monkeypatch):
     monkeypatch.setattr(ablation_picture, "STUDIES", studies)
     monkeypatch.setitem(ablation_picture._STYLE, "omni", ("#000000", "v:"))
     assert len(cells()) == 4
-    shown = fovconn("figures", "--ablations", "--seeds", "0-2", "--out", "drawn", "--record", "record.json")
+    shown = fovconn("figures", "--ablations", "--seeds", "0-2", "--out", "drawn", "--json", "record.json")
     assert shown.status == 0
     assert "Sweep, N" in shown.out
     with Image.open("drawn/ablations.png") as picture:

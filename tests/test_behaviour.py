@@ -1,16 +1,11 @@
 """What the paper's controller, the simple laws and the search are worth; the estimators keep to their bars."""
 
-import math
-
 import pytest
 
 from fovconn_env import PRESETS, scenario
 from training.evaluation import evaluate, summary
 
 pytestmark = pytest.mark.slow
-
-
-HARD = (20033, 20084, 20104, 20108, 20112)  # of 20000-20127, those from which the expert loses the leader for good
 
 
 def fly(policy, name, seeds, **changes):
@@ -84,13 +79,12 @@ def test_simple_laws_break_weak_links():
         assert report["collision"] == 0.0
 
 
-def test_recovery_finds_the_others_again():
-    """When the operator pulls hard, a leader out of range comes back."""
-    hard = {"stick_speed": 2.5, "speed_limit": 3.0, "patience": math.inf}
-    lost, found = (fly(policy, "LeaderFollow-v0", HARD, **hard) for policy in ("expert", "recovery"))
+def test_recovery_brings_the_team_together_again():
+    """Words that are late by 0.4 s make the expert lose its leader; recovery turns round and finds the others."""
+    lost, found = (fly(policy, "LossyRadio-v0", 32, level=4) for policy in ("expert", "recovery"))
     assert lost["connected_share"] < 0.5
     assert found["connected_share"] > 0.95
-    assert found["success"] == 1.0
+    assert found["success"] > lost["success"] + 0.25
     assert found["collision"] == 0.0
 
 

@@ -23,6 +23,7 @@ from training.evaluation import evaluate, summary
 
 ROOT = Path(__file__).parents[1]
 COMMANDS = {"eval": "--scenario", "demo": "--scenario", "bench": "--scenario", "figures": "--ablations"}
+COMMANDS |= {"replay": "--out", "play": "--scenario"}
 TINY = ("--set", "n_agents=3", "--set", "max_cycles=40", "--set", "warmup=0.5")
 
 
@@ -30,7 +31,7 @@ TINY = ("--set", "n_agents=3", "--set", "max_cycles=40", "--set", "warmup=0.5")
 def test_help_and_version(fovconn):
     top = fovconn("--help")
     assert top.status == 0
-    assert {command.name or command.callback.__name__ for command in cli.app.registered_commands} == set(COMMANDS)
+    assert {command.name for command in cli.app.registered_commands} == set(COMMANDS)
     for command, option in COMMANDS.items():
         assert command in top.out
         shown = fovconn(command, "--help")
@@ -196,7 +197,9 @@ BAD = {
     "option": (("eval", "--epsiodes", "3"), "--epsiodes"),
     "command": (("evla",), "evla"),
     "demo policy": (("demo", "--policy", "nobody"), "got 'nobody': your own is file.py:Class"),
-    "figures of what": (("figures",), "figures must be told which, got none: add --ablations or --map"),
+    "figures of what": (("figures",), "figures must be told which, got none: name a recording, or add"),
+    "figures of all": (("figures", "--ablations", "--map", "a.svg"), "got --ablations and --map: name a recording"),
+    "figures starts": (("figures", "--ablations", "--scenario", "LeaderFollow-v0"), "--scenario must come with --map"),
     "demo setting": (("demo", "--set", "n_agents=0"), "Scenario.n_agents must be at least 2, got 0"),
     "bench peer": (("bench", "--against", "pong"), "--against must name some of vmas, mpe2, "),
     "bench peers": (("bench", "vmas"), "'vmas' is unexpected: peers come after --against"),

@@ -85,7 +85,7 @@ def test_given_poses():
         (lambda: Corridor(depth=0.0), "Corridor.depth must be above 0"),
         (lambda: Corridor(reach=math.inf), "Corridor.reach must be finite"),
         (lambda: Corridor(low=2.0, high=1.0), "Corridor.low must be below high"),
-        (lambda: scenario("Corridor-v0", leader="none"), "Scenario.leader must be waypoints with a Corridor"),
+        (lambda: scenario("Corridor-v0", leader="none"), "Scenario.leader must be any but none with a Corridor"),
         (lambda: scenario("Corridor-v0", course=Course(legs=1)), "Course.legs must be at least 2 with a Corridor"),
     ],
 )

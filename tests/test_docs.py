@@ -83,7 +83,8 @@ def test_readme_has_the_examples_it_promises():
 @pytest.mark.parametrize("arguments", commands("fovconn"), ids=" ".join)
 def test_commands_parse(arguments):
     typer_main = pytest.importorskip("typer.main")
-    from training.cli import _parse, app
+    from training.cli import app
+    from training.commands.options import parse
     from training.evaluation.campaign import parse_seeds, suite
 
     command = typer_main.get_command(app).commands[arguments[0]]
@@ -91,7 +92,7 @@ def test_commands_parse(arguments):
     policies = values.get("policies") or [values.get("policy") or "expert"]
     assert all(policy in POLICIES or re.fullmatch(r"my_policy\.py(:\w+)?", policy) for policy in policies)
     for name in values.get("scenario_names") or [values.get("scenario_name") or "LeaderFollow-v0"]:
-        scenario(name, **_parse(list(values.get("settings") or [])))
+        scenario(name, **parse(list(values.get("settings") or [])))
     if values.get("suite_name"):
         suite(values["suite_name"])
     if values.get("seeds"):

@@ -16,6 +16,7 @@ from fovconn_env import layout, settings
 from fovconn_env.corridor import Corridor
 from fovconn_env.kernel import faults, judge, lambda2_estimator, pilot, step, types, weights, yaw_estimator
 from fovconn_env.kernel.camera import BY_RANGE, BY_SIGHT
+from fovconn_env.leader import Recorded
 from fovconn_env.maps import Forest, Map
 from fovconn_env.scenarios import PRESETS, SWITCHES, Scenario, scenario
 
@@ -33,9 +34,9 @@ MODULES = {name.removesuffix(".__init__") for name in FILES.values()}
 LAYERS = [
     ["fovconn_env.layout"],
     ["fovconn_env.kernel"],
-    ["fovconn_env.outlines", "fovconn_env.settings"],
+    ["fovconn_env.outlines", "fovconn_env.recording_files", "fovconn_env.settings"],
     ["fovconn_env.map_files", "fovconn_env.svg"],
-    ["fovconn_env.maps"],
+    ["fovconn_env.leader", "fovconn_env.maps"],
     ["fovconn_env.corridor"],
     ["fovconn_env.scenarios"],
     ["fovconn_env.world"],
@@ -43,7 +44,7 @@ LAYERS = [
     ["fovconn_env.*"],
     ["fovconn_env"],
     ["baselines"],
-    ["training.bench", "training.evaluation", "training.sb3"],
+    ["training.bench", "training.evaluation", "training.play", "training.sb3"],
     ["training"],
     ["tests"],
 ]
@@ -138,9 +139,11 @@ def test_no_public_name_is_a_module():
 # -------------------------------------------------------------------------------------------- settings and records
 def test_switches_are_the_annotated_words():
     hints = typing.get_type_hints(Scenario)
-    literals = {
-        name: typing.get_args(hint) for name, hint in hints.items() if typing.get_origin(hint) is typing.Literal
+    kinds = {name: [hint, *typing.get_args(hint)] for name, hint in hints.items()}  # leader: words or a Recorded
+    words = {
+        name: [part for part in parts if typing.get_origin(part) is typing.Literal] for name, parts in kinds.items()
     }
+    literals = {name: typing.get_args(found[0]) for name, found in words.items() if found}
     assert literals == SWITCHES
     defaults = Scenario()
     assert all(getattr(defaults, name) in words for name, words in SWITCHES.items())
@@ -158,12 +161,13 @@ def test_switches_are_numbered_as_the_kernels_count():
         ),
         "relative_yaw": (yaw_estimator.ESTIMATED, yaw_estimator.TRUE, yaw_estimator.NONE),
         "link": (BY_SIGHT, BY_RANGE),
-        "leader": (pilot.WAYPOINTS, pilot.NOBODY),
+        "leader": (pilot.WAYPOINTS, pilot.NOBODY, pilot.RANDOM, pilot.HUMAN),
     }
     assert numbers == {name: tuple(range(len(words))) for name, words in SWITCHES.items()}
     for name, words in SWITCHES.items():
         for number, word in enumerate(words):
             assert scenario(**{name: word}).params()[name][0] == number
+    assert scenario(leader=Recorded(np.zeros((2, 3)))).params()["leader"][0] == pilot.RECORDED
 
 
 def test_kinds_of_faults_are_numbered_as_the_kernels_count():
@@ -192,8 +196,9 @@ AT_RESET = {
     "": {"name", "n_agents", "max_neighbors", "max_ranges", "max_cycles", "warmup", "map", "faults"},
     "camera": {"optical_axis"},  # as axis_x, axis_y, axis_z
     "radio": {"delay"},  # slots of the mail, and travel_time
+    "power": {"team"},  # in the gains, where N is larger
     "start": {"box", "spacing", "clearance", "lambda2_low", "lambda2_high"},
-    "course": {"legs", "leg", "turn_low", "turn_high", "climb"},
+    "course": {"legs", "leg", "turn_low", "turn_high"},
 }
 
 
@@ -272,3 +277,13 @@ def test_presets_are_named_and_build():
 def test_modules_are_found(name):
     """No module hides behind another of the same name."""
     assert importlib.util.find_spec(name.removesuffix(".__init__")) is not None
+
+
+def test_playing_without_pygame():
+    """Who flies what, and how keys become a stick, needs no window library."""
+    pure = {f"training.play.{name}" for name in "gamepad handover keyboard pace score script session stick".split()}
+    assert pure <= MODULES
+    for file, name in FILES.items():
+        if name in pure:
+            assert "pygame" not in roots(file), name
+            assert not {other for other in imports(file) if "fovconn_env.render" in other}, name

@@ -84,7 +84,7 @@ def test_a_map_without_room_is_drawn_all_the_same(fovconn):
     [
         (("--map", "nowhere.json"), "No such file or directory: 'nowhere.json'"),
         (("--map", "broken.json"), "broken.json: a .json map must be JSON"),
-        (("--map", "broken.json", "--ablations"), "figures must be told which, got both"),
+        (("--map", "broken.json", "--ablations"), "figures must be told which, got --ablations and --map"),
         (("--ablations", "--scenario", "Regroup-v0"), "--scenario must come with --map, got 'Regroup-v0'"),
         (("--map", "fine.json", "--scenario", "Nowhere-v0"), "scenario must be one of LeaderFollow-v0, "),
         (("--map", "fine.json", "--seeds", "x"), "seeds must be like 0-319"),

@@ -117,7 +117,7 @@ def test_two_minutes_of_six_robots_stay_below_eight_megabytes(tmp_path):
     shapes = {name: (t, *getattr(FLIGHT, name).shape[1:]) for name in FLIGHT._fields[2:13]}
     noise = {name: generator.normal(size=[n if size == 3 else size for size in shapes[name]]) for name in shapes}
     noise |= {"time": np.arange(t) * settings_.step_time, "stick": noise["stick"][:, :3], "yaw_valid": noise["yaw"] > 0}
-    noise["weights"] = noise["weights"] % 1.0
+    noise |= {"weights": noise["weights"] % 1.0, "leader": generator.integers(n, size=t)}
     flight = FLIGHT._replace(scenario=settings_, **noise)
     assert write_page(flight, tmp_path / "a.html").stat().st_size < 8e6
 
@@ -243,6 +243,18 @@ def test_links_show_who_sees_whom(browser, page):
         assert f"{wanted[0]} links, " in browser.evaluate("document.getElementById('clock').textContent")
         browser.evaluate(f"player.seek({time + 1.0})")
         browser.settle()
+
+
+def test_the_ring_and_the_stick_are_at_whoever_leads(browser, tmp_path):
+    leader = np.where(FLIGHT.time < 2.0, 0, 2)
+    browser.open(write_page(FLIGHT._replace(leader=leader), tmp_path / "flight.html"), "#t=1.9")
+    for time, i in ((1.9, 0), (2.4, 2)):
+        browser.evaluate(f"player.seek({time})")
+        browser.settle()
+        np.testing.assert_allclose(browser.evaluate("player.view.ring.position.toArray()"), robots(browser)[i])
+        assert browser.evaluate("player.view.shaft.count") == 1
+        assert browser.evaluate("document.querySelector('.leads').textContent") == str(i + 1)
+    assert browser.problems == []
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])

@@ -26,9 +26,10 @@ AHEAD = {"present": 1, "f_ij": 1.0, "weight": 1.0, "bearing_x": 1.0}  # a robot 
 
 
 def view(chosen, neighbors=(), ranges=(), **own):
-    """The flat observation (1, D) of one robot, from the columns that are not 0."""
+    """The flat observation (1, D) of one robot of a whole team, from the columns that are not 0."""
     flat = np.zeros((1, chosen.observation_size), np.float32)
     rows = layout.rows(flat, chosen.max_neighbors, chosen.max_ranges)
+    rows.own["team_share"] = 1.0
     for record, columns in [(rows.own[0], own), *zip(rows.neighbors[0], neighbors), *zip(rows.ranges[0], ranges)]:  # noqa: B905
         for name, value in columns.items():
             record[name] = value
@@ -302,6 +303,47 @@ def test_recovery_ends_with_a_good_link():
     np.testing.assert_allclose(flown(policy, weak, **STICK), [0.5, 0, 0, -HALF], atol=1e-6)  # to it, camera on it
     assert flown(policy, good, **STICK) == flown(expert, good, **STICK)
     assert flown(policy, weak, **STICK) == flown(expert, weak, **STICK)  # weak alone is not lost
+
+
+def test_recovery_of_a_part_goes_home_and_ends_with_time():
+    """Of half of the team there is no word after 4 s with 1 m/s ahead; 40 s later that is how it is."""
+    policy, expert, link = Recovery(scenario()), Expert(scenario()), {**FAR, "distance": 6.0, "weight": 0.8}
+    half = {**STICK, "team_share": 0.5}
+    for _ in range(80):
+        ahead = flown(policy, link, vx=1.0, **STICK)
+    assert ahead == flown(expert, link, vx=1.0, **STICK)
+    for _ in range(40):
+        back = flown(policy, link, vx=1.0, **half)
+    np.testing.assert_allclose(back, [-0.75 - 1.0, 0, 0, 0], atol=1e-5)  # home is more than 2 m behind
+    assert flown(policy, {**link, "f_ji": 0.5}, vx=1.0, **half)[3] == 1.0  # who is seen may turn
+    for _ in range(800):
+        accepted = flown(policy, link, **half)
+    assert accepted == flown(expert, link, **half)
+    for _ in range(100):
+        flown(policy, link, **STICK)
+    for _ in range(40):
+        again = flown(policy, link, **half)  # it was whole in between
+    np.testing.assert_allclose(again, [-1.0, 0, 0, 0], atol=0.02)  # it stood still, so it stays
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "healed"), [(Expert, False), (Recovery, True)])
+def test_recovery_joins_two_pairs(kind, healed):
+    """The pairs, linked by what robot 0 sees, drift apart for 4 s, from 6 m to 12 m."""
+    chosen = small(n_agents=4, patience=1e3, leader="none")
+    simulator, policy, yaw = Simulator(chosen), kind(chosen), np.radians([0.0, -135.0, 45.0, -135.0])
+    poses = np.stack([[0.0, 0.0, 6.0, 6.0], [0.0, 4.0, 0.0, 4.0], np.full(4, 2.0), yaw], axis=-1)
+    observations, apart = simulator.reset(3, poses=poses), np.zeros((1, 4, 4), np.float32)
+    assert simulator.infos["connected"].all()
+    side = np.array([-1.0, -1.0, 1.0, 1.0]) * 0.75 / TOP
+    apart[0, :, 0], apart[0, :, 1] = side * np.cos(yaw), -side * np.sin(yaw)
+    for _ in range(80):
+        policy.act(observations)
+        observations = simulator.step(apart)
+    assert not simulator.infos["connected"].any()
+    for _ in range(200):
+        observations = simulator.step(policy.act(observations))
+    assert simulator.infos["connected"].all() == healed
 
 
 def test_recovery_forgets():

@@ -97,7 +97,7 @@ def relabel(simulator, order):
         state.table[:] = state.table[:, order][:, :, order][..., entries].copy()
         state.air[:] = state.air[:, :, order][:, :, :, order][..., entries].copy()
         state.mode[:] = state.mode[:, order][:, :, order].copy()
-    simulator.params["leader_index"] = order.index(int(simulator.params["leader_index"][0]))
+    state.episode["leader"] = order.index(int(state.episode["leader"][0]))
 
 
 @pytest.mark.parametrize("lambda2", ["power", "flooding", "true"])

@@ -94,8 +94,23 @@ def test_gradient_is_the_papers_formula(kind):
 
 # ------------------------------------------------------------------------------------------------------- camera
 @entry
+def look_at(bodies, pairs, near, count, piece, vertex, p):
+    return camera.look(bodies, pairs, near, count, piece, vertex, p[0])
+
+
+@entry
+def list_near(bodies, order, who, whom, contacts, near, p):
+    return camera.list_near(bodies, order, who, whom, contacts, near, p[0])
+
+
+@entry
+def muster(pairs, who, whom, first, p):
+    camera.muster(pairs, who, whom, first, p[0])
+
+
 def look(bodies, pairs, piece, vertex, p):
-    camera.look(bodies, pairs, piece, vertex, p[0])
+    near = np.argwhere(np.triu(np.ones(pairs.shape, bool), 1)).astype(np.uint32)
+    return look_at(bodies, pairs, near, len(near), piece, vertex, p)
 
 
 @entry
@@ -136,6 +151,43 @@ def test_look(tilt, link):
             assert pairs["linked"][i, j] == linked
         np.testing.assert_allclose(bodies["nearest"], nearest, rtol=0, atol=1e-12)
     assert n_blocked > few(20, 2)
+
+
+@pytest.mark.parametrize("n", [5, 24])
+def test_a_large_team_is_looked_at_without_visiting_all_pairs(n):
+    """Robots that come and go: what is told of them is what visiting all pairs tells, to the bit."""
+    scenario, rng = small(n_agents=n), np.random.default_rng(12)
+    params, all_pairs = scenario.params(), n * (n - 1) // 2
+    bodies = bodies_of(draw_team(rng, n, box=(60, 60, 3)), scenario.camera)
+    pairs, reference = np.zeros((n, n), types.PAIR), np.zeros((n, n), types.PAIR)
+    order, near, first = np.arange(n, dtype=np.uint32), np.zeros((n * n, 2), np.uint32), np.zeros(n + 1, np.int64)
+    who, whom = np.zeros(n * n, np.uint32), np.zeros(n * n, np.uint32)
+    muster(pairs, who, whom, first, params)
+    speeds, most, woken = rng.uniform(-6, 6, (2, n)), 0, 0
+    rest = int(params["rest_ticks"][0])
+    for tick in range(few(400, 30)):
+        for axis, speed in zip("xy", speeds, strict=True):
+            bodies[axis] += 0.05 * speed
+            speed[np.abs(bodies[axis]) > 25] = 0.0
+            speed -= 0.02 * bodies[axis]
+        again = bodies.copy()
+        count = list_near(bodies, order, who, whom, first[n], near, params)
+        listed = {(i, j) for i, j in near[:count].tolist()}
+        assert len(listed) == count
+        assert all(i < j for i, j in listed)
+        if look_at(bodies, pairs, near, count, *NOTHING, params):
+            muster(pairs, who, whom, first, params)
+            woken += tick > rest
+        most = max(most, count if tick > rest else 0)
+        look(again, reference, *NOTHING, params)
+        assert (bodies == again).all()
+        for name in ("seen", "linked", "asleep"):
+            assert (pairs[name] == reference[name]).all(), name
+        awake = reference["asleep"] < rest
+        for name in ("distance", "cosine", "blocked"):
+            assert (pairs[name][awake] == reference[name][awake]).all(), name
+    assert most == all_pairs if n == 5 else most < 0.6 * all_pairs
+    assert n == 5 or woken > few(100, 1)
 
 
 def _crosses(a, b, center, radius):

@@ -109,6 +109,8 @@ def test_results_are_what_the_episodes_say(team):
     assert result.kept == (own["never_disconnected"].mean(), *share_interval(own["never_disconnected"]))
     assert result.collisions == own["collision"].sum()
     assert result.success_difference == paired_share_difference(own["success"], expert["success"])
+    connected = (own["connected_share"] - expert["connected_share"]).mean()
+    assert result.connected_difference.value == pytest.approx(connected)
     assert result.progress_difference.value == pytest.approx(np.nanmean(own["progress"] - expert["progress"]))
     zero, one = random["sct"].mean(), expert["sct"].mean()
     scores = (own["sct"] - zero) / (one - zero)
@@ -174,7 +176,7 @@ def test_without_expert_or_random_there_are_no_scores(team, policies):
     assert len(rows) == len(policies)
     assert "score IQM" not in head
     assert ("> expert %" in head) == ("expert" in policies)
-    assert len(difference_table(comparison, "LeaderFollow-v0")[0]) == (4 if "expert" in policies else 1)
+    assert len(difference_table(comparison, "LeaderFollow-v0")[0]) == (5 if "expert" in policies else 1)
 
 
 def test_no_score_where_random_is_as_good(team):

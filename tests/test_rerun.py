@@ -97,6 +97,15 @@ def test_links_come_and_go(columns):
     assert np.linalg.norm(missing) == pytest.approx(0.7, abs=1e-4)
 
 
+def test_the_stick_is_the_leader_s(columns):
+    np.testing.assert_allclose(
+        np.array(columns["world/stick", "Arrows3D:origins"])[:, 0], FLIGHT.poses[:, 0, :3], atol=1e-5
+    )
+    np.testing.assert_allclose(
+        np.array(columns["world/stick", "Arrows3D:vectors"])[:, 0], 2.0 * FLIGHT.stick, atol=1e-6
+    )
+
+
 def test_curves_are_the_flight_s(columns):
     def curve(path):
         return np.array(columns[f"plots/{path}", "Scalars:scalars"], float)[:, 0]

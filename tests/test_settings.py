@@ -101,7 +101,7 @@ IMPOSSIBLE = [
     (lambda: scenario(lambda2="flood"), "Scenario.lambda2", "one of power, flooding, true, none", "'flood'"),
     (lambda: scenario(relative_yaw=True), "Scenario.relative_yaw", "one of estimated, true, none", "True"),
     (lambda: scenario(link="wifi"), "Scenario.link", "one of sight, radio", "'wifi'"),
-    (lambda: scenario(leader="human"), "Scenario.leader", "one of waypoints, none", "'human'"),
+    (lambda: scenario(leader="hand"), "Scenario.leader", "one of waypoints, none, random, human", "'hand'"),
     (lambda: scenario(dynamics=["kinematic"]), "Scenario.dynamics", "one of kinematic, quadrotor", "['kinematic']"),
 ]
 

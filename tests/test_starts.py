@@ -6,7 +6,7 @@ A draw is bounded: the random numbers it takes are counted.
 import numpy as np
 import pytest
 
-from fovconn_env import Course, Forest, Map, Start, scenario, world
+from fovconn_env import Corridor, Course, Forest, Map, Start, scenario, world
 from fovconn_env import maps as maps_module
 from tests.test_maps import inside_by_even_odd, star
 
@@ -107,28 +107,36 @@ def random_map(rng):
     return obstacles
 
 
+def random_corridor(rng):
+    width = np.sort(rng.uniform(0.8, 6.0, 2))
+    return Corridor(width=tuple(width), depth=rng.uniform(0.1, 1.5), reach=rng.uniform(2, 20))
+
+
 def random_task(rng):
-    spacing = rng.uniform(0.6, 1.8)
+    spacing, kind = rng.uniform(0.6, 1.8), rng.random()
+    corridor = kind < 0.2
     return scenario(
         n_agents=int(rng.integers(2, 8)),
-        leader="waypoints" if rng.random() < 0.8 else "none",
+        leader="waypoints" if corridor or rng.random() < 0.8 else "none",
         start=Start(
             box=(rng.uniform(6, 11), rng.uniform(6, 11), rng.uniform(0.5, 4)),
             spacing=spacing,
             clearance=rng.uniform(0.25, 2.0),
             lambda2_low=rng.uniform(0.0, 0.15),
         ),
-        course=Course(legs=int(rng.integers(1, 5)), leg=rng.uniform(2, 10)),
-        map=random_forest(rng) if rng.random() < 0.75 else random_map(rng),
+        course=Course(legs=int(rng.integers(1 + corridor, 5)), leg=rng.uniform(2, 10)),
+        map=random_corridor(rng) if corridor else random_forest(rng) if kind < 0.8 else random_map(rng),
     )
 
 
 def most_draws(task):
     """Numbers that a start may take at most."""
     course = 1 + 3 * task.course.legs
-    if not isinstance(task.map, Forest):
+    if isinstance(task.map, Map):
         return world.MAX_TRIES * (2 + course)
-    obstacles = 4 * maps_module._TRIES * (task.map.n_pillars + task.map.n_walls)
+    obstacles = 2
+    if isinstance(task.map, Forest):
+        obstacles = 4 * maps_module._TRIES * (task.map.n_pillars + task.map.n_walls)
     return world.MAX_MAPS * (2 * world.MAX_TRIES + course + obstacles)
 
 
@@ -153,6 +161,10 @@ def check(seed):
     if isinstance(task.map, Forest):
         assert (gaps(found.pieces, found.vertices) >= task.map.gap - 1e-9).all()
         assert len(found.pieces) == task.map.n_pillars + task.map.n_walls
+    if isinstance(task.map, Corridor):
+        near, _, across, _ = found.vertices
+        gap = np.linalg.norm(near - across) - task.map.depth
+        assert task.map.width[0] - 1e-9 <= gap <= task.map.width[1] + 1e-9
     return True
 
 

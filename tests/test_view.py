@@ -22,6 +22,7 @@ from fovconn_env.render.alarm import HOLD, Alarm, notices, weak_links
 from fovconn_env.render.history import SPAN, History
 from fovconn_env.render.instant import instant_of
 from fovconn_env.render.palette import DARK, LIGHT, THEMES, colors_of
+from fovconn_env.render.pixels import MASKS, halve, rgb_array
 from fovconn_env.render.projection import NEAR, clipped, fitting_distance, from_above, in_front, look_at, project
 from fovconn_env.render.view import View
 from fovconn_env.scenarios import scenario
@@ -310,6 +311,48 @@ def test_the_themes_tell_robots_apart():
         assert len({*colors, theme.page}) == 9
 
 
+def test_another_leader_in_flight():
+    """It changes colours with the first one, as if it had led from the beginning; the history stays."""
+    settings = scenario(n_agents=4)
+    first, then = colors_of(settings, LIGHT), colors_of(settings, LIGHT, 2)
+    assert (then[2], then[0], then[1], then[3]) == (LIGHT.leader, first[2], first[1], first[3])
+    simulator = started()
+    view = View(simulator.scenario)
+    for _ in range(3):
+        simulator.step(np.zeros((1, 6, 4)))
+        before = view.draw_array(simulator)
+    simulator.lead(2)
+    after = view.draw_array(simulator)
+    assert (after != before).any(axis=-1).mean() > 0.001
+    assert len(view._history.strip(-1.0)[0]) == 3
+    assert view._painter.colors[2] == LIGHT.leader
+    simulator.reset(3)
+    view.draw(simulator)
+    assert view._painter.colors[0] == LIGHT.leader
+
+
+def test_pictures_between_two_steps():
+    """Late by a whole step the robots stand where they stood; a heading turns the short way round."""
+    simulator = started()
+    simulator.step(np.zeros((1, 6, 4)))
+    view = View(simulator.scenario)
+    view.draw(simulator)
+    earlier = instant_of(simulator)
+    simulator.step(np.ones((1, 6, 4)))
+    now = instant_of(simulator)
+    assert np.abs(now.poses - earlier.poses).max() > 0.02
+    for late in (0.0, 0.3, 1.0):
+        shown = view._between(now, late)
+        assert shown.poses == pytest.approx(now.poses - late * (now.poses - earlier.poses))
+        assert shown.time == pytest.approx(now.time - late * simulator.scenario.step_time)
+    turned = now._replace(time=now.time + 0.05, poses=now.poses * [1, 1, 1, 0] + [0, 0, 0, 3.1])
+    back = turned._replace(time=turned.time + 0.05, poses=now.poses * [1, 1, 1, 0] - [0, 0, 0, 3.1])
+    view._between(turned, 0.5)
+    assert np.cos(view._between(back, 0.5).poses[:, 3]) == pytest.approx(-1.0)
+    skipped = back._replace(time=back.time + 1.0)
+    assert view._between(skipped, 0.5) is skipped, "steps between them were not drawn"
+
+
 # -------------------------------------------------------------------------------------------------- environments
 def test_two_environments_side_by_side():
     one, two = (fovconn_env.parallel_env(render_mode="rgb_array", warmup=0.1) for _ in range(2))
@@ -391,3 +434,17 @@ def test_without_pygame_the_error_names_the_extra(monkeypatch):
         gymnasium.error.DependencyNotInstalled, match=r'needs pygame: pip install "fovconn-env\[render\]"'
     ):
         env.render()
+
+
+def test_pixels_are_halved_and_unpacked():
+    """Means of 2 x 2 pixels, colour by colour, rounded to the nearest; then bytes red, green, blue."""
+    rng = np.random.default_rng(0)
+    fine, page = pygame.Surface((12, 8), 0, 32, MASKS), pygame.Surface((6, 5), 0, 32, MASKS)
+    colors = rng.integers(0, 256, (12, 8, 3), dtype=np.uint8)
+    pygame.surfarray.blit_array(fine, colors)
+    page.fill((1, 2, 3))
+    halve(fine, page)
+    wanted = (colors.reshape(6, 2, 4, 2, 3).sum(axis=(1, 3), dtype=np.uint16) + 2) // 4
+    found = rgb_array(page)
+    np.testing.assert_array_equal(found[:4], wanted.swapaxes(0, 1))
+    assert (found[4] == [1, 2, 3]).all()  # below it the page stays as it was

@@ -11,21 +11,24 @@ from rich.progress import Progress
 
 from baselines import Gains, find_policy, load_policy
 from baselines.expert import potential
-from fovconn_env import Flight, Scenario
+from fovconn_env import Flight, Recorder, Recording, Scenario, Simulator
 from fovconn_env.flight import fly
 from training.evaluation import Evaluation, evaluate
+from training.evaluation.flights import label
 
 
-def fly_once(policy: str, scenario: Scenario, seed: int, watch: Callable[[int], None]) -> tuple[Flight, Evaluation]:
-    """One flight on record, and the same flight measured."""
+def fly_once(
+    policy: str, scenario: Scenario, seed: int, watch: Callable[[int], None]
+) -> tuple[Flight, Evaluation, Recording]:
+    """One flight: what happened in it, what it was worth, and how to compute it again."""
     equipped = find_policy(policy).equip(scenario)
-    flight = fly(equipped, load_policy(policy, equipped).act, seed, watch=watch)
-    return flight, evaluate(policy, equipped, [seed])
+    recorder = Recorder(Simulator(equipped), [label(policy)])
+    flight = fly(recorder, load_policy(policy, equipped).act, seed, watch=watch)
+    return flight, evaluate(policy, equipped, [seed]), recorder.recording()
 
 
 def draw(flight: Flight, folder: Path, *, animation: bool, bar: Progress) -> list[Path]:
     """The paper's figures and, if asked for, the animation in `folder`; returns what was written."""
-    from fovconn_env.render.animation import animate
     from fovconn_env.render.figures import draw_all
 
     task = bar.add_task("figures", total=None)
@@ -35,6 +38,8 @@ def draw(flight: Flight, folder: Path, *, animation: bool, bar: Progress) -> lis
     pictures = draw_all(flight, folder, potential=curve, law=dataclasses.asdict(gains))
     bar.update(task, total=1, completed=1)
     if animation:
+        from fovconn_env.render.animation import animate
+
         task = bar.add_task("animation", total=None)
         pictures.append(
             animate(

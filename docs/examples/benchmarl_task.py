@@ -108,6 +108,7 @@ class FovconnTask(TaskClass):
 class Fovconn(Task):
     """Our scenarios; `Fovconn.LEADER_FOLLOW.get_task(config={...})` makes a task, the config being settings."""
 
+    BLACKOUT = None
     LEADER_FOLLOW = None
     TILT_DYNAMICS = None
     REGROUP = None

@@ -12,43 +12,100 @@ from fovconn_env.kernel.geometry import sight_blocked, tilt, untilt
 from fovconn_env.kernel.jit import kernel
 
 BY_SIGHT, BY_RANGE = range(2)  # scenarios.SWITCHES["link"]
+SMALL = 16  # robots up to which it is faster to visit all pairs
 
 
 @kernel
-def look(bodies, pairs, piece, vertex, p):
-    """Bring the truth about every pair up to date: distance, cosine a_ij, blocked, seen, linked. World frame in.
+def look(bodies, pairs, near, count, piece, vertex, p):
+    """Bring the truth about the first `count` pairs of `near` up to date: distance, cosine a_ij, blocked, seen, linked.
 
-    Returns whether a pair fell asleep or woke: whether the list of `muster` is out of date.
+    World frame in. Returns whether a pair fell asleep or woke: whether the list of `muster` is out of date.
     """
-    n, changed = bodies.shape[0], False
-    for i in range(n):
+    changed = False
+    for i in range(bodies.shape[0]):
         bodies[i].nearest = math.inf
-    for i in range(n):
-        a = bodies[i]
-        for j in range(i + 1, n):
-            b, ij, ji = bodies[j], pairs[i, j], pairs[j, i]
-            dx, dy, dz = b.x - a.x, b.y - a.y, b.z - a.z
-            distance = math.sqrt(dx * dx + dy * dy + dz * dz)
-            near = 1.0 / max(distance, 1e-9)
-            ij.distance = ji.distance = distance
-            a.nearest, b.nearest = min(a.nearest, distance), min(b.nearest, distance)
-            if distance >= p.d_max and ij.asleep == p.rest_ticks:
-                continue  # out of reach, and has been for long: the rest stays as it is
-            x, y, z = near * dx, near * dy, near * dz
-            a_ij = a.ox * (a.cos_yaw * x + a.sin_yaw * y) + a.oy * (a.cos_yaw * y - a.sin_yaw * x) + a.oz * z
-            a_ji = -(b.ox * (b.cos_yaw * x + b.sin_yaw * y) + b.oy * (b.cos_yaw * y - b.sin_yaw * x) + b.oz * z)
-            in_range = p.d_min < distance < p.d_max
-            wanted = in_range and (a_ij > p.a_min or a_ji > p.a_min)
-            blocked = p.occlusion and wanted and sight_blocked(a.x, a.y, a.z, b.x, b.y, b.z, piece, vertex)
-            linked = wanted and not blocked if p.link == BY_SIGHT else distance < p.d_max
-            ij.cosine, ji.cosine, ij.blocked, ji.blocked = a_ij, a_ji, blocked, blocked
-            ij.seen = in_range and a_ij > p.a_min and not blocked  # f*_ij > 0 (10)
-            ji.seen = in_range and a_ji > p.a_min and not blocked
-            ij.linked = ji.linked = linked
-            asleep = 0 if linked else min(ij.asleep + 1, p.rest_ticks)
-            changed = changed or (asleep == p.rest_ticks) != (ij.asleep == p.rest_ticks)
-            ij.asleep = ji.asleep = asleep
+    for k in range(count):
+        i, j = near[k, 0], near[k, 1]
+        a, b, ij, ji = bodies[i], bodies[j], pairs[i, j], pairs[j, i]
+        dx, dy, dz = b.x - a.x, b.y - a.y, b.z - a.z
+        distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+        inverse = 1.0 / max(distance, 1e-9)
+        ij.distance = ji.distance = distance
+        a.nearest, b.nearest = min(a.nearest, distance), min(b.nearest, distance)
+        if distance >= p.d_max and ij.asleep == p.rest_ticks:
+            continue  # out of reach, and has been for long: the rest stays as it is
+        x, y, z = inverse * dx, inverse * dy, inverse * dz
+        a_ij = a.ox * (a.cos_yaw * x + a.sin_yaw * y) + a.oy * (a.cos_yaw * y - a.sin_yaw * x) + a.oz * z
+        a_ji = -(b.ox * (b.cos_yaw * x + b.sin_yaw * y) + b.oy * (b.cos_yaw * y - b.sin_yaw * x) + b.oz * z)
+        in_range = p.d_min < distance < p.d_max
+        wanted = in_range and (a_ij > p.a_min or a_ji > p.a_min)
+        blocked = p.occlusion and wanted and sight_blocked(a.x, a.y, a.z, b.x, b.y, b.z, piece, vertex)
+        linked = wanted and not blocked if p.link == BY_SIGHT else distance < p.d_max
+        ij.cosine, ji.cosine, ij.blocked, ji.blocked = a_ij, a_ji, blocked, blocked
+        ij.seen = in_range and a_ij > p.a_min and not blocked  # f*_ij > 0 (10)
+        ji.seen = in_range and a_ji > p.a_min and not blocked
+        ij.linked = ji.linked = linked
+        asleep = 0 if linked else min(ij.asleep + 1, p.rest_ticks)
+        changed = changed or (asleep == p.rest_ticks) != (ij.asleep == p.rest_ticks)
+        ij.asleep = ji.asleep = asleep
+    for i in range(bodies.shape[0]):
+        if bodies[i].nearest >= p.d_max:
+            bodies[i].nearest = least_separation(bodies, i)  # the nearest may be one that was not listed
     return changed
+
+
+@kernel
+def list_near(bodies, order, who, whom, contacts, near, p):
+    """List in `near` each pair that `look` has to visit once, i < j; returns how many.
+
+    These are the pairs in reach of each other and the `contacts` that `muster` found. Nothing changes between the
+    others. In a large team they are found by a sweep along x over `order`, the robots nearly as they lie there. In a
+    small team all are listed, which is faster.
+    """
+    n, count = bodies.shape[0], 0
+    if n <= SMALL:
+        for i in range(n):
+            for j in range(i + 1, n):
+                near[count, 0], near[count, 1] = i, j
+                count += 1
+        return count
+    line_up(order, bodies)
+    for a in range(n):
+        i = order[a]
+        for b in range(a + 1, n):
+            j = order[b]
+            if bodies[j].x - bodies[i].x >= p.d_max:
+                break
+            near[count, 0], near[count, 1] = min(i, j), max(i, j)
+            count += abs(bodies[j].y - bodies[i].y) < p.d_max
+    for k in range(contacts):
+        i, j = who[k], whom[k]
+        apart = abs(bodies[j].x - bodies[i].x) >= p.d_max or abs(bodies[j].y - bodies[i].y) >= p.d_max
+        near[count, 0], near[count, 1] = i, j
+        count += i < j and apart
+    return count
+
+
+@kernel
+def line_up(order, bodies):
+    """Sort the robots along x, by insertion: from tick to tick few change places."""
+    for a in range(1, order.shape[0]):
+        k, b = order[a], a
+        while b > 0 and bodies[order[b - 1]].x > bodies[k].x:
+            order[b] = order[b - 1]
+            b -= 1
+        order[b] = k
+
+
+@kernel
+def least_separation(bodies, i):
+    """Least distance of robot i's centre to another's."""
+    a, least = bodies[i], math.inf
+    for j in range(bodies.shape[0]):
+        b = bodies[j]
+        dx, dy, dz = b.x - a.x, b.y - a.y, b.z - a.z
+        least = min(least, math.sqrt(dx * dx + dy * dy + dz * dz) if j != i else math.inf)
+    return least
 
 
 @kernel

@@ -52,10 +52,14 @@ def entry(function: Callable[P, R]) -> Callable[P, R]:
         config.CACHE_DIR = before
 
 
+def source_hash(beside: tuple[Path, ...] = ()) -> str:
+    """Sixteen letters that change with the source of any kernel, of the layout, and of the files `beside` them."""
+    digest = hashlib.sha256()
+    for file in (*_SOURCES, Path(__file__).parents[1] / "layout.py", *beside):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
 def _cache_folder(source: Path) -> Path:
     root = Path(config.CACHE_DIR) if config.CACHE_DIR else Path(platformdirs.user_cache_dir("fovconn_env"))
-    layout = Path(__file__).parents[1] / "layout.py"
-    digest = hashlib.sha256()
-    for file in (*_SOURCES, layout, *sorted(source.parent.glob("*.py"))):
-        digest.update(file.read_bytes())
-    return root / digest.hexdigest()[:16]
+    return root / source_hash(tuple(sorted(source.parent.glob("*.py"))))

@@ -97,7 +97,7 @@ def end(episode, arrived, p):
 @kernel
 def reward(bodies, infos, rewards, actions, episode, stick_x, stick_y, stick_z, p):
     """Named reward terms of every robot and their sum. Running terms are rates times the step, stick: last step's."""
-    lead, dt = bodies[p.leader_index], p.step_time
+    lead, dt = bodies[episode.leader], p.step_time
     margin = (episode.lambda2 - p.lambda2_min) / (p.lambda2_max - p.lambda2_min)
     along = lead.vx * stick_x + lead.vy * stick_y + lead.vz * stick_z
     pushed = stick_x * stick_x + stick_y * stick_y + stick_z * stick_z

@@ -12,7 +12,7 @@ import numpy as np
 from fovconn_env.kernel.jit import kernel
 
 # purposes
-MISS, LOSS, START, FORCE, ROTOR, ACQUIRE = range(6)
+MISS, LOSS, START, FORCE, ROTOR, ACQUIRE, STICK = range(7)
 POSITION, VELOCITY, GYRO, ATTITUDE, RANGE = range(16, 21)
 BIAS = 32  # added to a purpose: drawn once an episode
 

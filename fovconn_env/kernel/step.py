@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from fovconn_env import layout
 from fovconn_env.kernel import lambda2_estimator, random, yaw_estimator
-from fovconn_env.kernel.camera import feel, look, muster, see
+from fovconn_env.kernel.camera import feel, list_near, look, muster, see
 from fovconn_env.kernel.faults import cut, repair, wear
 from fovconn_env.kernel.flooding import assemble, enter, merge, put, solve
 from fovconn_env.kernel.geometry import clearance
@@ -38,7 +38,7 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
     for both, because each entry compiles everything below it.
     """
     p = params[0]
-    n, who, whom, first_of = state.body.shape[1], scratch.who, scratch.whom, scratch.first
+    n, order, who, whom, first_of = state.body.shape[1], scratch.order, scratch.who, scratch.whom, scratch.first
     for b in range(first, last):
         episode = state.episode[b]
         if (task == BEGIN and not mask[b]) or (task == ADVANCE and episode.over):
@@ -53,16 +53,19 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
         slots = state.mail.shape[1]  # rounds a message travels
         repeats = slots == 1 and p.loss == 0.0  # a tick's first notes lie in the slot until its last round
         if task == ADVANCE:
-            obey(bodies, actions[b], stick_x, stick_y, stick_z, p)
+            obey(bodies, actions[b], episode, p)
         else:
+            episode.leader = p.leader_index
             start(bodies, flights, inboxes, tracks, beliefs, episode.key, p)
         for i in range(infos.shape[0]):
             infos[i].bytes_sent = 0.0
 
+        muster(pairs, who, whom, first_of, p)
         for tick in range(ticks):
             if task == ADVANCE:
                 move(bodies, flights, episode, p)
-            if look(bodies, pairs, piece, vertex, p) or tick == 0:
+            n_near = list_near(bodies, order, who, whom, first_of[n], scratch.near, p)
+            if look(bodies, pairs, scratch.near, n_near, piece, vertex, p):
                 muster(pairs, who, whom, first_of, p)
             if task == ADVANCE and faults.shape[0] > 0:
                 now = (episode.step * p.ticks + tick + 1) * p.tick
@@ -114,7 +117,7 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
                 conclude(beliefs[i], n)
         elif p.lambda2 == lambda2_estimator.FLOODING:
             solve_tables(beliefs, tables, modes, scratch, episode.n_rounds // p.rounds, p)
-        arrived = steer(bodies[p.leader_index], world.waypoint[b], world.n_waypoints[b], episode, p)
+        arrived = steer(bodies[episode.leader], world.waypoint[b], world.n_waypoints[b], world.stick, episode, p)
         own_rows, neighbor_rows = state.own_row[b], state.neighbor_row[b]
         inform(own, tracks, inboxes, beliefs, beats, modes, whom, first_of, own_rows, neighbor_rows, infos, episode, p)
         measure(bodies, piece, vertex, state.range_row[b], episode, p)
@@ -151,11 +154,11 @@ def rest(body, flight, p):
 
 
 @kernel
-def obey(bodies, actions, stick_x, stick_y, stick_z, p):
+def obey(bodies, actions, episode, p):
     """Turn actions (N, 4) into commands; the stick (m/s, leader's yaw frame) is added to the leader's."""
     for i in range(bodies.shape[0]):
-        pull = 1.0 if i == p.leader_index else 0.0
-        command(bodies[i], actions[i], pull * stick_x, pull * stick_y, pull * stick_z, p)
+        pull = 1.0 if i == episode.leader else 0.0
+        command(bodies[i], actions[i], pull * episode.stick_x, pull * episode.stick_y, pull * episode.stick_z, p)
         if p.dynamics == KINEMATIC:
             steady(bodies[i], p)
 
@@ -305,7 +308,7 @@ def inform(own, tracks, inboxes, beliefs, beats, modes, whom, first, own_rows, n
     """Write what every robot has on board into its observation."""
     for i in range(own.shape[0]):
         there = share_there(beats[i], episode.n_rounds // p.rounds, p)
-        leads, known = i == p.leader_index and p.leader != NOBODY, whom[first[i] : first[i + 1]]
+        leads, known = i == episode.leader and p.leader != NOBODY, whom[first[i] : first[i + 1]]
         observe_self(own_rows[i], own[i], beliefs[i], there, leads, episode.stick_x, episode.stick_y, episode.stick_z)
         dropped = observe_neighbors(neighbor_rows[i], tracks[i], inboxes[i], beliefs[i], modes[i], known, p)
         infos[i].neighbors_dropped = dropped

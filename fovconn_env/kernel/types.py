@@ -58,7 +58,7 @@ PARAMS = _record(
         *_numbers("position_noise position_bias velocity_noise velocity_bias gyro_noise gyro_bias"),
         *_numbers("attitude_noise attitude_bias range_noise range_bias"),
         *_numbers("lambda2_min lambda2_max patience collision_robot collision_obstacle"),
-        *_numbers("settle pause goal_radius goal_lambda2 goal_hold"),
+        *_numbers("settle climb pause goal_radius goal_lambda2 goal_hold"),
         *_numbers("mass inertia_xy inertia_z arm thrust_gain drag_ratio rotor_min rotor_max rotor_lag substep"),
         *_numbers("kp kv kq_tilt kq_yaw kw_tilt kw_yaw max_accel max_jerk max_tilt"),
         *_numbers("rotor_noise force_noise force_time"),
@@ -98,6 +98,7 @@ class World(NamedTuple):
     waypoint: np.ndarray  # (B, W, 3) m
     n_waypoints: np.ndarray  # (B,) int64
     fault: np.ndarray  # (B, F) FAULT
+    stick: np.ndarray  # (T, 3) m/s, leader's yaw frame, of a recorded leader: the same in all worlds
     low: np.ndarray  # (D,) float32, bounds of a flat observation
     high: np.ndarray  # (D,)
 
@@ -200,6 +201,7 @@ EPISODE = _record(
         ("n_rounds", "i8"),  # message rounds since reset, warm-up included: the noise counter
         ("step", "i8"),  # steps since the warm-up
         ("max_steps", "i8"),
+        ("leader", "i8"),  # the robot the operator pulls
         *_numbers("stick_x stick_y stick_z"),  # operator's velocity in the next step, leader's yaw frame
         ("waypoint", "i8"),  # the one being flown to
         *_numbers("wait"),  # s left of a pause
@@ -209,6 +211,7 @@ EPISODE = _record(
         ("n_edges", "i8"),
         *_numbers("pushed travelled"),  # integrals of |stick|^2 and of v . stick
         *[(name, "b1") for name in "over terminated truncated success collision disconnected".split()],
+        ("rests", "b1"),  # who flies along way points pauses in the next step
     ]
 )
 TALLY = record(INFO, "f8")
@@ -219,9 +222,10 @@ class Scratch(NamedTuple):
 
     laplacian: np.ndarray  # (N, N)
     spectrum: np.ndarray  # (N + spectrum.N_VECTORS, N)
-    # the pairs that have to do with each other, see camera.muster; unsigned, as numba checks each use of a signed index
-    # for counting from the end
-    who: np.ndarray  # (N N,) uint32
+    # unsigned, as numba checks each use of a signed index for counting from the end
+    order: np.ndarray  # (N,) uint32, all robots, see camera.list_near
+    near: np.ndarray  # (N N, 2) uint32, the pairs to look at
+    who: np.ndarray  # (N N,) uint32, the pairs that have to do with each other, see camera.muster
     whom: np.ndarray  # (N N,) uint32
     first: np.ndarray  # (N + 1,) int64
 

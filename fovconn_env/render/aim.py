@@ -34,14 +34,20 @@ class Aim:
     """Follows the team; every number moves towards its goal by the time that went by in the world."""
 
     def __init__(self, leader: int) -> None:
-        self._leader, self._choice, self._time = leader, (), 0.0
+        self.leader = leader
+        self._choice, self._time = (), 0.0
         self._now = np.zeros(6)  # target x, y, z; distance; cosine and sine of the azimuth
+
+    @property
+    def distance(self) -> float:
+        """Of the eye from its target in the last picture, m."""
+        return float(self._now[3])
 
     def lens(self, look: Look, now: Instant, size: tuple[float, float]) -> Lens:
         """The lens for a panel of a size, pixels."""
         at = now.poses[:, :3]
         if look.camera == "follow":
-            robot = self._leader if look.target is None else look.target
+            robot = self.leader if look.target is None else look.target
             goal, azimuth = at[robot], now.poses[robot, 3] + math.pi
             distance = look.distance or 10.0
         else:

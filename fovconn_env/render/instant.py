@@ -18,6 +18,7 @@ class Instant(NamedTuple):
     poses: np.ndarray  # (N, 4) x, y, z, yaw
     tilt: np.ndarray  # (N, 2) roll, pitch
     stick: np.ndarray  # (3,) m/s
+    leader: int  # who is pulled by the stick, if anybody is
     weights: np.ndarray  # (N, N) A_ij
     watch: np.ndarray  # (N, N) f*_ij
     lambda2: float
@@ -43,6 +44,7 @@ def instant_of(simulator: Simulator) -> Instant:
         poses=poses,
         tilt=np.stack([body["roll"], body["pitch"]], axis=-1),
         stick=world_stick(simulator),
+        leader=int(episode["leader"]),
         weights=state.pair["weight"][0].copy(),
         watch=state.pair["watch"][0].copy(),
         lambda2=float(episode["lambda2"]),

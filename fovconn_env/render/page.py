@@ -28,7 +28,7 @@ SCRIPTS = ("data.js", "shapes.js", "view.js", "plots.js", "page.js")
 _WEB = Path(__file__).parent / "web"
 _BELOW, _ABOVE, _MARGIN = 1.0, 1.0, 4.0  # m of floor below, of roofs above and of ground around the flight
 _GRID = 5.0  # m
-_ENDINGS = {"success": "success", "collision": "collision", "disconnected": "team split", "time": "time is up"}
+_ENDINGS = {"disconnected": "team split", "time": "time is up"}  # where the outcome's own word says too little
 
 
 def write_page(flight: Flight, path: Path, *, progress: Callable[[int, int], None] | None = None) -> Path:
@@ -61,6 +61,7 @@ def arrays(flight: Flight) -> dict[str, np.ndarray]:
         "time": flight.time[k].astype("<f8"),
         "poses": flight.poses[k].astype("<f4"),
         "tilt": flight.tilt[k].astype("<f4"),
+        "leader": flight.leader[np.maximum(k - 1, 0)].astype("<i2"),  # in the step that ends then, as the stick
         "stick": flight.stick[k].astype("<f4"),
         "lambda2": flight.lambda2[k].astype("<f4"),
         "lambda2_hat": flight.lambda2_hat[k].astype("<f4"),
@@ -77,16 +78,16 @@ def settings(flight: Flight) -> dict[str, Any]:
     places = np.concatenate([flight.poses[..., :3].reshape(-1, 3), flight.waypoints])
     low, high = places.min(0), places.max(0)
     floor = math.floor(2.0 * low[2]) / 2.0 - _BELOW
-    leader = palette.leader_of(scenario)
-    course = [] if leader is None else [flight.poses[0, leader, :3], *flight.waypoints]
+    led = palette.leader_of(scenario) is not None
+    course = [flight.poses[0, flight.leader[0], :3], *flight.waypoints] if led else []
     classes = sight.sight_class(flight.watch, flight.watch.swapaxes(1, 2))
     around = flight.poses[..., :3] - flight.poses[..., :3].mean(1, keepdims=True)
     return {
         "n": scenario.n_agents,
-        "leader": leader,
+        "led": led,
         "interval": max(INTERVAL, scenario.step_time),
         "bound": scenario.lambda2_min,
-        "ending": _ENDINGS[flight.outcome],
+        "ending": _ENDINGS.get(flight.outcome, flight.outcome),
         "observer": sight.observer(classes),
         "camera": {"axis": camera.unit_axis, "a_min": camera.a_min, "d_max": camera.d_max},
         "course": [_rounded(place) for place in course],
@@ -134,7 +135,7 @@ def _summary(flight: Flight) -> str:
     """One line about the flight, HTML."""
     return (
         f"seed {flight.seed} · {flight.scenario.n_agents} robots · "
-        f"<b>{_ENDINGS[flight.outcome]}</b> after {flight.time[-1]:.1f} s"
+        f"<b>{_ENDINGS.get(flight.outcome, flight.outcome)}</b> after {flight.time[-1]:.1f} s"
     )
 
 

@@ -37,14 +37,15 @@ class Marks(NamedTuple):
 class Painter:
     """Draws instants of a scenario in one theme. `size`: least half-width of a robot, pixels of the fine surface."""
 
-    def __init__(self, scenario: Scenario, theme: Theme) -> None:
-        self._theme, self._leader = theme, leader_of(scenario)
+    def __init__(self, scenario: Scenario, theme: Theme, leader: int | None = None) -> None:
+        """leader: who leads now, None for the scenario's leader, if it has one."""
+        self._theme, self._leader = theme, leader_of(scenario) if leader is None else leader
         self._crowd = scenario.n_agents > 12
         camera = scenario.camera
         self._fan = shapes3d.fan(camera.unit_axis, camera.a_min)
         self._rim = shapes3d.rim(camera.unit_axis, camera.a_min)
         self._reach = camera.d_max
-        self.colors = colors_of(scenario, theme)
+        self.colors = colors_of(scenario, theme, leader)
         self._tints = [mixed(color, theme.ground, 0.45) for color in self.colors]
         self._hints = [mixed(color, theme.ground, 0.25) for color in self.colors]
         self._faces = [

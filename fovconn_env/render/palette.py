@@ -74,10 +74,16 @@ def leader_of(scenario: Scenario) -> int | None:
     return None if scenario.leader == "none" else scenario.leader_index
 
 
-def colors_of(scenario: Scenario, theme: Theme = LIGHT) -> list[str]:
-    """One colour a robot, (N,): the leader's stands apart, the followers' repeat after seven."""
-    leader, spare = leader_of(scenario), itertools.cycle(theme.followers)
-    return [theme.leader if i == leader else next(spare) for i in range(scenario.n_agents)]
+def colors_of(scenario: Scenario, theme: Theme = LIGHT, leader: int | None = None) -> list[str]:
+    """One colour a robot, (N,): the leader's stands apart, the followers' repeat after seven.
+
+    leader: who leads now, if it is not the scenario's; these two have each other's colours.
+    """
+    first, spare = leader_of(scenario), itertools.cycle(theme.followers)
+    colors = [theme.leader if i == first else next(spare) for i in range(scenario.n_agents)]
+    if first is not None and leader is not None:
+        colors[first], colors[leader] = colors[leader], colors[first]
+    return colors
 
 
 def mixed(color: str, other: str, share: float) -> str:

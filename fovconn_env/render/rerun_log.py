@@ -89,9 +89,8 @@ def _log_ground(rr: Any, stream: Any, flight: Flight) -> None:
     if len(triangles):
         mesh = rr.Mesh3D(vertex_positions=corners, triangle_indices=triangles, albedo_factor=_rgb(THEME.obstacle))
         stream.log("world/obstacles", mesh, static=True)
-    leader = palette.leader_of(flight.scenario)
-    if leader is not None:
-        course = np.vstack([flight.poses[0, leader, :3], flight.waypoints])
+    if palette.leader_of(flight.scenario) is not None:
+        course = np.vstack([flight.poses[0, flight.leader[0], :3], flight.waypoints])
         stream.log("world/course", rr.LineStrips3D([course], colors=_rgb(THEME.operator), radii=-0.7), static=True)
         names = [f"way point {k}" for k in range(1, len(course))]
         marks = rr.Points3D(course[1:], colors=_rgb(THEME.operator), radii=-6.0, labels=names)
@@ -136,9 +135,9 @@ def _log_robots(rr: Any, stream: Any, flight: Flight) -> None:
     columns = rr.LineStrips3D.columns(strips=strips.reshape(-1, *strips.shape[2:]), colors=colors * len(at))
     stream.send_columns("world/trails", when, columns.partition([n] * len(at)))
     stream.log("world/trails", rr.LineStrips3D.from_fields(radii=-1.0), static=True)
-    leader = palette.leader_of(scenario)
-    if leader is not None:
-        arrows = rr.Arrows3D.columns(vectors=2.0 * flight.stick, origins=at[:, leader])
+    if palette.leader_of(scenario) is not None:
+        leader = np.insert(flight.leader[:-1], 0, flight.leader[0])  # in the step that ends then, as the stick
+        arrows = rr.Arrows3D.columns(vectors=2.0 * flight.stick, origins=at[np.arange(len(at)), leader])
         stream.send_columns("world/stick", when, arrows.partition([1] * len(at)))
         stream.log("world/stick", rr.Arrows3D.from_fields(colors=_rgb(THEME.leader), radii=0.08), static=True)
 

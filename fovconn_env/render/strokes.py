@@ -20,7 +20,7 @@ def line(surface: pygame.Surface, color: str, a: list[float], b: list[float], wi
 
 def dashes(surface: pygame.Surface, color: str, a: list[float], b: list[float]) -> None:
     """A line of dashes."""
-    n = int(min(math.hypot(b[0] - a[0], b[1] - a[1]) / (6 * FINE), 60)) // 2 * 2 + 1
+    n = int(min(math.hypot(b[0] - a[0], b[1] - a[1]) / (8 * FINE), 24)) // 2 * 2 + 1
     dx, dy = (b[0] - a[0]) / n, (b[1] - a[1]) / n
     for k in range(0, n, 2):
         x, y = a[0] + k * dx, a[1] + k * dy

@@ -14,6 +14,7 @@ from fovconn_env.render.instant import Instant, instant_of
 from fovconn_env.render.key import draw_key
 from fovconn_env.render.painter import Marks, Painter
 from fovconn_env.render.palette import THEMES, leader_of, mixed
+from fovconn_env.render.pixels import MASKS, halve, rgb_array
 from fovconn_env.render.places import divide, text_height
 from fovconn_env.render.stage import Stage
 from fovconn_env.render.strip import FINE, Strip
@@ -26,9 +27,10 @@ LEAST = (320, 240)  # px, no page is smaller
 
 
 class View:
-    """Draws a simulator's first world again and again. `look` and `overlay` may be changed between pictures.
+    """Draws a simulator's first world again and again. `look`, `overlay` and `pilot` may be changed between pictures.
 
-    look: camera, and what is shown. overlay: lines of text for the upper left corner, under the title.
+    look: camera, and what is shown. overlay: lines of text for the upper left corner, under the title. pilot: the robot
+    that the person in front of the picture flies.
     """
 
     def __init__(
@@ -37,6 +39,9 @@ class View:
         self._scenario = scenario
         self.look = look or Look()
         self.overlay: list[str] = []
+        self.pilot: int | None = None
+        self._leader = leader_of(scenario)
+        self._last_two: tuple[Instant | None, Instant | None] = None, None
         self._history = History(scenario.n_agents, scenario.step_time)
         self._aim, self._stage_key = Aim(scenario.leader_index), -1
         self.set_page(size, theme)
@@ -49,26 +54,38 @@ class View:
         self.theme = theme or self.theme
         self._colors = THEMES[self.theme]
         self._type = Typesetter(text_height(self.size))
-        self._painter = Painter(self._scenario, self._colors)
-        self._page = pygame.Surface(self.size, 0, 32)
+        self._painter = Painter(self._scenario, self._colors, self._leader)
+        self._page = pygame.Surface(self.size, 0, 32, MASKS)
         page, scenario = divide(self.size, self._type.line, above=True), self._scenario
         operated = leader_of(scenario) is not None
         self._key = draw_key(page.key.size, self._colors, self._type, operated=operated)
         bound = scenario.lambda2_min
         self._strip = Strip(page.strip.size, self._type.line, self._colors, self._painter.colors, bound)
-        self._fine = pygame.Surface((FINE * self.size[0], FINE * page.world.height), 0, 32)
+        self._fine = pygame.Surface((FINE * self.size[0], FINE * page.world.height), 0, 32, MASKS)
 
-    def draw(self, simulator: Simulator) -> pygame.Surface:
-        """The first world now, on a surface that the next call draws on again."""
+    @property
+    def distance(self) -> float:
+        """Of the eye from what it looks at in the last picture, m."""
+        return self._aim.distance
+
+    def draw(self, simulator: Simulator, *, late: float = 0.0) -> pygame.Surface:
+        """The first world now, on a surface that the next call draws on again.
+
+        late: share of a step, from 0 to 1, by which the robots are shown late, between where the last two pictures'
+        steps left them; for more pictures a second than steps.
+        """
         now = instant_of(simulator)
+        if self._leader not in (None, now.leader):
+            self._leader = self._aim.leader = now.leader
+            self.set_page(self.size)
         if now.key != self._stage_key:
             self._stage, self._stage_key, self._alarm = Stage(simulator, now), now.key, Alarm()
         self._history.add(now)
         weak = self._alarm.update(now, self._history.weights(now.time - FALL_TIME))
         page = divide(self.size, self._type.line, above=self.look.above and self.look.camera != "top")
-        marks = [self._paint(place, now, weak, k > 0) for k, place in enumerate(page[:2]) if place.width]
-        free = self._page.subsurface((0, 0, self.size[0], page.world.height))
-        pygame.transform.smoothscale(self._fine, free.get_size(), free)
+        shown = self._between(now, late)
+        marks = [self._paint(place, shown, weak, k > 0) for k, place in enumerate(page[:2]) if place.width]
+        halve(self._fine, self._page)
         self._type.taken.clear()
         self._page.blit(self._key, page.key)
         self._page.blit(self._strip.draw(self._history, now), page.strip)
@@ -80,11 +97,21 @@ class View:
 
     def draw_array(self, simulator: Simulator) -> np.ndarray:
         """The same as an array of its own, (height, width, 3) uint8."""
-        width, height = self.size
-        rgb = pygame.Surface(self.size, 0, 24, (0xFF, 0xFF00, 0xFF0000, 0))  # a byte a colour, red first
-        rgb.blit(self.draw(simulator), (0, 0))
-        rows = np.frombuffer(rgb.get_buffer().raw, np.uint8).reshape(height, rgb.get_pitch())
-        return rows[:, : 3 * width].reshape(height, width, 3).copy()
+        return rgb_array(self.draw(simulator))
+
+    def _between(self, now: Instant, late: float) -> Instant:
+        """The robots `late` steps before now, if the step before now was drawn."""
+        before, last, step = *self._last_two, self._scenario.step_time
+        if last is None or (last.key, last.time) != (now.key, now.time):
+            follows = last is not None and last.key == now.key and 0.0 < now.time - last.time < 1.5 * step
+            before = last if follows else None
+            self._last_two = before, now
+        if before is None or late == 0.0:
+            return now
+        way = now.poses - before.poses
+        way[:, 3] = (way[:, 3] + math.pi) % (2.0 * math.pi) - math.pi
+        tilt = now.tilt - late * (now.tilt - before.tilt)
+        return now._replace(time=now.time - late * step, poses=now.poses - late * way, tilt=tilt)
 
     def _paint(self, place: pygame.Rect, now: Instant, weak: list[tuple[int, int]], above: bool) -> Marks:
         """Draw the world in a place of the page, 3-D or from above."""
@@ -139,7 +166,7 @@ class View:
         self, place: pygame.Rect, marks: Marks, now: Instant, weak: list[tuple[int, int]], *, small: bool
     ) -> None:
         """Numbers of robots and way points, the leader and weak links' ends first; those without room are left out."""
-        theme, leader = self._colors, leader_of(self._scenario)
+        theme, leader = self._colors, self._leader
         self._page.set_clip(place)
         scale = self._type.words(f"grid {marks.grid:g} m", theme.faint, halo=theme.ground)
         corner = (place.right - scale.get_width() - 6, place.bottom - scale.get_height() - 3)
@@ -149,7 +176,8 @@ class View:
         few = small and self._scenario.n_agents > 12
         for i in order[:1] if few else order:
             color = self._painter.colors[i] if now.alive[i] else theme.faint
-            text = f"{i + 1} leader" if i == leader and not small else str(i + 1)
+            roles = ", ".join(word for word, applies in (("leader", i == leader), ("you", i == self.pilot)) if applies)
+            text = str(i + 1) if small else f"{i + 1} {roles}".rstrip()
             words = self._type.words(text, color, halo=theme.ground, bold=True)
             self._type.label(self._page, words, marks.robots[i] / FINE + place.topleft, 1.15 * marks.radii[i] / FINE)
         for k, at in enumerate(marks.waypoints):

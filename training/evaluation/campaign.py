@@ -87,7 +87,8 @@ def fly_cells(
         if not part.seeds:
             return
         kept = done[k]
-        done[k] = part if kept is None else join([kept, part])
+        found = part if kept is None else join([kept, part])
+        done[k] = _in_order(found, sorted(found.seeds))  # blocks finish in any order
         shelf.save(cells[k], done[k])
 
     try:

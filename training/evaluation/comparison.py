@@ -34,6 +34,7 @@ class Result(NamedTuple):
     collisions: int
     kept_difference: Estimate  # to the expert on the same seeds
     success_difference: Estimate
+    connected_difference: Estimate  # share of the time
     progress_difference: Estimate
     scores: np.ndarray | None  # (E,) of MERIT, 0 for random's mean and 1 for the expert's
     score: Estimate  # their interquartile mean
@@ -108,10 +109,11 @@ def _result(found: Evaluation, there: Mapping[str, Evaluation]) -> Result:
     """One policy's numbers; `there` has all policies on that scenario."""
     numbers, own = summary(found), found.episodes
     expert, random = there.get(EXPERT), there.get(RANDOM)
-    kept = success = progress = better = NOTHING
+    kept = success = connected = progress = better = NOTHING
     if expert is not None and expert is not found:
         kept = paired_share_difference(own["never_disconnected"], expert.episodes["never_disconnected"])
         success = paired_share_difference(own["success"], expert.episodes["success"])
+        connected = paired_mean_difference(own["connected_share"], expert.episodes["connected_share"])
         progress = paired_mean_difference(own["progress"], expert.episodes["progress"])
         better = improvement([own[MERIT]], [expert.episodes[MERIT]])
     scores = normalised(own[MERIT], expert, random)
@@ -123,6 +125,7 @@ def _result(found: Evaluation, there: Mapping[str, Evaluation]) -> Result:
         int(own["collision"].sum()),
         kept,
         success,
+        connected,
         progress,
         scores,
         NOTHING if scores is None else iqm([scores]),
@@ -179,6 +182,7 @@ def difference_table(comparison: Comparison, scenario: str) -> Table:
         "policy": lambda policy, result: comparison.name(policy),
         "kept": lambda policy, result: estimate(result.kept_difference, "+z.1f", 100),
         "success": lambda policy, result: estimate(result.success_difference, "+z.1f", 100),
+        "connected": lambda policy, result: estimate(result.connected_difference, "+z.1f", 100),
         "progress": lambda policy, result: estimate(result.progress_difference, "+z.3f"),
     }
     others = {policy: result for policy, result in comparison.on(scenario).items() if policy != EXPERT}

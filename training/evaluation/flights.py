@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from baselines import Policy, find_policy
-from fovconn_env import Scenario, Simulator
+from fovconn_env import Recorder, Recording, Scenario, Simulator
 from fovconn_env.metrics import ERRORS, Meter, quantile
 from training.evaluation.statistics import share_interval
 
@@ -74,6 +74,17 @@ def fly(
     episodes = {name: values[done] for name, values in meter.results().items()}
     finished = [seed for seed, over in zip(seeds, done, strict=True) if over]
     return Evaluation(label(policy), scenario, finished, episodes, meter.histograms()[done])
+
+
+def record(policy: str | type[Policy], scenario: Scenario, seed: int) -> Recording:
+    """Fly a policy once as `fly` does, and record it."""
+    kind = find_policy(policy) if isinstance(policy, str) else policy
+    recorder = Recorder(Simulator(kind.equip(scenario), starts=scenario), [label(policy)])
+    simulator, observations = recorder.simulator, recorder.reset(seed)
+    pilot = kind(simulator.scenario)
+    while not simulator.over[0]:
+        observations = recorder.step(_decide(pilot, observations, simulator, [seed]))
+    return recorder.recording()
 
 
 def join(parts: Sequence[Evaluation]) -> Evaluation:

@@ -152,7 +152,7 @@ def _scenario(comparison: Comparison, scenario: str, plots: Path) -> Section:
     tables = [Grid("Results", *scenario_table(comparison, scenario), marked)]
     differences = difference_table(comparison, scenario)
     if len(differences[0]) > 1:
-        about = ["On the same seeds; kept and success in percentage points."]
+        about = ["On the same seeds; kept, success and time connected in percentage points."]
         tables.append(Grid("Difference to the expert", *differences, about))
     tables.append(Grid("Connectivity and estimators", *estimator_table(comparison, scenario)))
     lost, total = lost_table(comparison, scenario)

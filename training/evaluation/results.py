@@ -32,7 +32,9 @@ from training.evaluation.comparison import (
 )
 from training.evaluation.flights import SHARES, Evaluation, label, summary
 from training.evaluation.marl_eval import to_marl_eval
+from training.evaluation.measures import card
 
+ON_CARD = ("expert", "augmented", "recovery", "oracle")  # policies on the card of a scenario
 SAMPLE = 4  # episodes of each evaluation in a short record
 FORMAT = 1  # of the record; a change of its structure counts it up
 
@@ -76,12 +78,15 @@ def to_json(comparison: Comparison, policies: Sequence[str], seconds: float) -> 
 
 
 def tables(comparison: Comparison) -> dict[str, Table]:
-    """All tables by name: "overall", and of each scenario its results, differences and estimators."""
+    """All tables by name: "overall", and of each scenario its results, differences, estimators and card."""
     found = {"overall": overall_table(comparison), "kept and success": matrix(comparison)}
     for name in comparison.scenarios:
         found[name] = scenario_table(comparison, name)
         found[f"{name} differences"] = difference_table(comparison, name)
         found[f"{name} estimators"] = estimator_table(comparison, name)
+        flown = {policy: result.summary for policy, result in comparison.on(name).items() if policy in ON_CARD}
+        if flown:
+            found[f"{name} card"] = card({comparison.name(policy): report for policy, report in flown.items()})
     return found
 
 
@@ -175,6 +180,8 @@ def plain(settings: Any) -> Any:
         return {"pieces": pieces.tolist(), "vertices": vertices.tolist()}
     if dataclasses.is_dataclass(settings):
         return {item.name: plain(getattr(settings, item.name)) for item in dataclasses.fields(settings)}
+    if isinstance(settings, np.ndarray):
+        return settings.tolist()
     if isinstance(settings, tuple):
         return [plain(item) for item in settings]
     return _clean(settings.item() if isinstance(settings, np.generic) else settings)

@@ -49,6 +49,11 @@ function linksAt(flight, now) {
   return found;
 }
 
+/** The robot that leads between an instant and the next. */
+function leaderAt(flight, { k, share }) {
+  return flight.leader[Math.min(k + (share > 0 ? 1 : 0), flight.time.length - 1)];
+}
+
 /** A colour of the theme, as page.py wrote it for light and dark. */
 function color(name) {
   return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();

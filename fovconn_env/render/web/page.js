@@ -32,16 +32,16 @@ class Player {
   }
 
   _listRobots() {
-    const { n, leader, observer } = this.flight;
+    const { n, led, observer } = this.flight;
     for (let i = 0; i < n; i++) {
       const item = document.createElement("li"), dot = document.createElement("span");
       dot.className = "dot";
       dot.style.setProperty("--color", `var(--robot-${i})`);
-      item.append(dot, i === leader ? `${i + 1} leader` : String(i + 1));
+      item.append(dot, String(i + 1));
       element("robots").append(item);
       element("observer").append(new Option(`robot ${i + 1}`, i, false, i === observer));
     }
-    document.querySelectorAll(".led").forEach((item) => { item.hidden = leader === null; });
+    document.querySelectorAll(".led").forEach((item) => { item.hidden = !led; });
   }
 
   _listen(seek) {
@@ -128,6 +128,8 @@ class Player {
   _write() {
     const { flight, time } = this, now = locate(flight, time), links = linksAt(flight, now);
     const mutual = links.filter(([, , , own, other]) => own && other).length;
+    const leader = flight.led ? leaderAt(flight, now) : null;
+    [...element("robots").children].forEach((item, i) => item.classList.toggle("leads", i === leader));
     element("time").value = time;
     element("elapsed").textContent = `${time.toFixed(1)} / ${flight.end.toFixed(1)} s`;
     element("clock").textContent =

@@ -107,7 +107,9 @@ class View {
     this._paint(this.heads.material, "one-way");
     this.shaft = this._add(sticks(new L.CylinderGeometry(1, 1, 1, 12), 1));
     this.tip = this._add(sticks(new L.ConeGeometry(1, 1, 16), 1));
-    [this.shaft, this.tip].forEach((part) => this._paint(part.material, "leader"));
+    this.ring = this._add(new L.Mesh(new L.TorusGeometry(1.9, 0.07, 8, 48), flat()));
+    this.ring.visible = this.flight.led;
+    [this.shaft, this.tip, this.ring].forEach((part) => this._paint(part.material, "leader"));
     this.painters.push(() => { this.shades = { mutual: new L.Color(color("mutual")), oneWay: new L.Color(color("one-way")) }; });
   }
 
@@ -202,15 +204,22 @@ class View {
   }
 
   _drawStick() {
-    const { stick, leader } = this.flight;
+    const { stick, led } = this.flight, leader = this.leader();
+    this.ring.position.copy(this.at[leader]);
+    this.ring.scale.setScalar(this.robots[leader].body.scale.x);
     const push = new L.Vector3(...[0, 1, 2].map((c) => between(stick, 3, c, this.now))), speed = push.length();
-    this.shaft.count = this.tip.count = leader !== null && speed > 0.02 ? 1 : 0;
+    this.shaft.count = this.tip.count = led && speed > 0.02 ? 1 : 0;
     if (!this.shaft.count) return;
     const at = this.at[leader], pixel = this._pixel(at);
     push.divideScalar(speed);
     const neck = new L.Vector3().copy(at).addScaledVector(push, 1.0 + 1.2 * speed);
     this.shaft.lay(0, at, neck, 2.5 * pixel);
     this.tip.lay(0, neck, new L.Vector3().copy(neck).addScaledVector(push, 18 * pixel), 7 * pixel);
+  }
+
+  /** The robot that leads now. */
+  leader() {
+    return leaderAt(this.flight, this.now);
   }
 
   // ------------------------------------------------------------------------------------------------- where it looks
@@ -231,7 +240,7 @@ class View {
   }
 
   _goal() {
-    if (this.kind === "leader") return this.at[this.flight.leader ?? 0].clone();
+    if (this.kind === "leader") return this.at[this.leader()].clone();
     const middle = this.at.reduce((sum, at) => sum.add(at), new L.Vector3());
     return middle.divideScalar(this.at.length);
   }

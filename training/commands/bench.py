@@ -1,0 +1,70 @@
+"""`fovconn bench`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fovconn_env import scenario
+from training.bench.cases import FULL, PEERS, QUICK
+from training.bench.timing import GROUPS, INSTALLED, agenda, run
+from training.commands.options import ScenarioName, Settings, check_writable, parse
+from training.commands.screen import grid, out, progress, warm_up
+
+
+def command(
+    peers: Annotated[list[str] | None, typer.Argument(metavar="[PEER]...", help="More peers for --against.")] = None,
+    against: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PEER", help=f"Time in the same run: {', '.join(PEERS)} or {INSTALLED[0]}; repeatable."),
+    ] = None,
+    only: Annotated[
+        list[str] | None, typer.Option(metavar="GROUP", help=f"Time only {', '.join(GROUPS)}; repeatable.")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Small batches, few repetitions: does it run?")] = False,
+    scenario_name: ScenarioName = "LeaderFollow-v0",
+    batches: Annotated[list[int] | None, typer.Option("--batch", help="Worlds in a batch; repeatable.", min=1)] = None,
+    repetitions: Annotated[int | None, typer.Option(help="Repetitions, cases taking turns.", min=1)] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Write everything, each repetition too, here.")
+    ] = None,
+    picture: Annotated[Path | None, typer.Option("--plot", help="Draw it here: .png, .svg or .pdf.")] = None,
+    settings: Settings = None,
+) -> None:
+    """Time the environment: steps a second, medians over repetitions, ratios to the peers, peak memory."""
+    from training.bench.report import bar_table, machine_line, rate_table, record, restless
+
+    if peers and not against:
+        raise ValueError(f"{peers[0]!r} is unexpected: peers come after --against, groups each after an --only")
+    chosen, effort = scenario(scenario_name, **parse(settings)), QUICK if quick else FULL
+    effort = effort._replace(batches=tuple(batches or effort.batches), repetitions=repetitions or effort.repetitions)
+    todo = agenda(chosen, effort, only or (), [*(against or ()), *(peers or ())])
+    if picture is not None:
+        from training.bench.picture import KINDS, plot
+
+        if picture.suffix not in KINDS:
+            raise ValueError(f"--plot must end in one of {', '.join(KINDS)}, got {str(picture)!r}")
+    check_writable({"--json": json_file, "--plot": picture})
+    with progress() as bar:
+        warm_up(bar, chosen, "expert")
+        task = bar.add_task("timing", total=None)
+        result = run(todo, lambda name, done, total: bar.update(task, description=name, completed=done, total=total))
+        bar.update(task, description="timed", total=1, completed=1)
+    report = record(result)
+    out.print(grid(f"{chosen.name}, medians of {effort.repetitions} repetitions", *rate_table(report)))
+    out.print()
+    out.print(grid("ratios of a repetition, medians" + ", too quick for the bars" * quick, *bar_table(report)))
+    out.print(f"\n{machine_line(report)}", highlight=False)
+    if restless(report):
+        out.print(restless(report), style="yellow", highlight=False)
+    for line in report["missing"]:
+        out.print(f"not timed: {line}", highlight=False, markup=False)
+    if json_file is not None:
+        json_file.write_text(json.dumps(report, indent=1) + "\n")
+        out.print(f"wrote {json_file}")
+    if picture is not None:
+        plot(report, picture)
+        out.print(f"wrote {picture}")

@@ -1,0 +1,31 @@
+"""Many flights under a progress bar, for the commands that need them."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from training.commands.screen import progress, warm_up
+from training.evaluation import Evaluation
+from training.evaluation.campaign import Cell, fly_cells
+
+
+def fly_all(
+    cells: list[Cell], seeds: list[int], folder: Path, processes: int | None, fresh: bool
+) -> tuple[list[Evaluation], float]:
+    """Evaluations of the cells, and the seconds they took, with a progress bar."""
+    folder.mkdir(parents=True, exist_ok=True)
+    began, total = time.perf_counter(), len(cells) * len(seeds)
+    with progress() as bar:
+        warm_up(bar, cells[0].scenario, cells[0].policy)
+        task = bar.add_task(f"{total} episodes", total=total)
+        results = fly_cells(
+            cells,
+            seeds,
+            folder=folder / "episodes",
+            fresh=fresh,
+            processes=processes,
+            progress=lambda done: bar.update(task, completed=done),
+        )
+        bar.update(task, completed=total)
+    return results, time.perf_counter() - began

@@ -1,0 +1,45 @@
+"""`fovconn demo`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from baselines import find_policy
+from fovconn_env import scenario
+from training.commands.options import PolicyName, RecordFile, ScenarioName, Settings, check_recording, parse
+from training.commands.screen import measures, out, progress, warm_up
+
+
+def command(
+    policy: PolicyName = "expert",
+    scenario_name: ScenarioName = "TiltDynamics-v0",
+    seed: Annotated[int, typer.Option(help="Seed of the flight.", min=0)] = 0,
+    folder: Annotated[Path, typer.Option("--out", help="Folder for the pictures.")] = Path("out/demo"),
+    animation: Annotated[bool, typer.Option(help="Make the animation, too.")] = True,
+    recording_file: RecordFile = None,
+    settings: Settings = None,
+) -> None:
+    """Fly the paper's experiment (Sec. V) once: a table of measures, its Figs. 2-7 and an animation."""
+    from training.demo import draw, fly_once
+
+    chosen = scenario(scenario_name, **parse(settings))
+    find_policy(policy)
+    check_recording(recording_file)
+    folder.mkdir(parents=True, exist_ok=True)
+    with progress() as bar:
+        warm_up(bar, chosen, policy)
+        task = bar.add_task("flying", total=chosen.max_cycles)
+        flight, result, recording = fly_once(policy, chosen, seed, lambda step: bar.update(task, completed=step))
+        bar.update(task, total=len(flight.time) - 1, completed=len(flight.time) - 1)
+        pictures = draw(flight, folder, animation=animation, bar=bar)
+    if recording_file is not None:
+        recording.save(recording_file)
+    out.print(measures(result))
+    out.print(f"outcome: {flight.outcome} after {flight.time[-1]:.1f} s; pictures:")
+    for picture in pictures:
+        out.print(f"  {picture}", highlight=False, soft_wrap=True)
+    if recording_file is not None:
+        out.print(f"recorded in {recording_file}", highlight=False, soft_wrap=True)

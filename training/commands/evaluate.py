@@ -1,0 +1,102 @@
+"""`fovconn eval`."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from baselines import POLICIES, find_policy
+from fovconn_env import PRESETS, scenario
+from training.commands.campaigns import fly_all
+from training.commands.options import (
+    OUT,
+    Fresh,
+    JsonFile,
+    Processes,
+    Settings,
+    check_folder,
+    check_writable,
+    parse,
+)
+from training.commands.screen import err, grid, measures, out, progress, say_written, width
+from training.evaluation.campaign import DEV_SEEDS, SUITES, Cell, parse_seeds, suite
+from training.evaluation.comparison import Comparison, overall_table, scenario_table
+from training.evaluation.recordings import record_flights
+from training.evaluation.results import publish, short, write_json
+
+
+def command(
+    policies: Annotated[
+        list[str] | None,
+        typer.Option("--policy", help=f"Policy: {', '.join(POLICIES)}; or your own, file.py:Class. Repeatable."),
+    ] = None,
+    scenario_names: Annotated[
+        list[str] | None, typer.Option("--scenario", help=f"Scenario id: {', '.join(PRESETS)}. Repeatable.")
+    ] = None,
+    suite_name: Annotated[
+        str | None,
+        typer.Option("--suite", help=f"{' or '.join(SUITES)}: all policies (and those given) on all scenarios."),
+    ] = None,
+    seeds: Annotated[str | None, typer.Option(help="Seeds: 0-319, 7 or 0-31,100-131.  [default: 0-319]")] = None,
+    folder: Annotated[Path, typer.Option("--out", help="Folder for report, JSON and episodes.")] = OUT / "eval",
+    processes: Processes = None,
+    fresh: Fresh = False,
+    json_file: JsonFile = None,
+    recordings: Annotated[
+        Path | None,
+        typer.Option("--record", metavar="FOLDER", help="Fly each flight once more, alone, and record it here."),
+    ] = None,
+    settings: Settings = None,
+) -> None:
+    """Fly policies on scenarios, all from the same seeds; print and write what they are worth beside each other.
+
+    Finished episodes stay in the folder: after an interruption the same command goes on.
+    """
+    chosen, names, numbers = suite(suite_name) if suite_name else (["expert"], ["LeaderFollow-v0"], list(DEV_SEEDS))
+    chosen = list(dict.fromkeys([*chosen, *(policies or ())] if suite_name else policies or chosen))
+    numbers = parse_seeds(seeds) if seeds is not None else numbers
+    changes = parse(settings)
+    scenarios = [scenario(name, **changes) for name in dict.fromkeys(scenario_names or names)]
+    cells = [Cell(policy, task) for task in scenarios for policy in chosen]
+    for cell in cells:
+        find_policy(cell.policy).equip(cell.scenario)
+    check_folder(folder)
+    check_folder(recordings, "--record")
+    check_writable({"--json": json_file})
+    results, seconds = fly_all(cells, numbers, folder, processes, fresh)
+    with err.status("writing the report"):
+        found = publish(results, chosen, folder, seconds)
+    _show(found.comparison)
+    written = found.files + ([write_json(json_file, short(found.record))] if json_file is not None else [])
+    say_written([file for file in written if file.suffix != ".png"])
+    if recordings is not None:
+        with progress() as bar:
+            task = bar.add_task("recording", total=len(cells) * len(numbers))
+            files = record_flights(cells, numbers, recordings, lambda done: bar.update(task, completed=done))
+        out.print(f"recorded {len(files)} flights in {recordings}", highlight=False, soft_wrap=True)
+    if not any(file.suffix == ".html" for file in written):
+        out.print('no report: it needs matplotlib, pip install "fovconn-env[demo]"', style="yellow", markup=False)
+
+
+def _show(comparison: Comparison) -> None:
+    """Tables of what was flown: in full for one policy on one scenario, else side by side."""
+    if len(comparison.results) == 1:
+        out.print(measures(next(iter(comparison.results.values())).evaluation))
+        return
+    tables = {}
+    for name in comparison.scenarios:
+        count = len(next(iter(comparison.on(name).values())).evaluation.seeds)
+        tables[f"{name}, {count} seeds"] = scenario_table(comparison, name)
+    if len(comparison.scenarios) > 1:
+        tables["over all scenarios"] = overall_table(comparison)
+    wide = all(width(*table) <= out.width for table in tables.values())
+    for title, (head, rows) in tables.items():
+        bare = [[re.sub(r" \[.*\]", "", cell) for cell in row] for row in rows]
+        out.print(grid(title, head, rows if wide else bare))
+        out.print()
+    out.print("in brackets: 95 % intervals" if wide else "a wider terminal shows 95 % intervals", style="dim")
+    for note in comparison.footnotes:
+        out.print(note, highlight=False, markup=False)

@@ -1,0 +1,100 @@
+"""`fovconn figures`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fovconn_env.flight import from_recording
+from training.commands.campaigns import fly_all
+from training.commands.options import (
+    OUT,
+    Force,
+    Fresh,
+    JsonFile,
+    Processes,
+    check_folder,
+    check_writable,
+    read_recording,
+)
+from training.commands.screen import grid, out, progress, say_written
+from training.evaluation.campaign import parse_seeds
+from training.evaluation.results import write_json
+
+
+def command(
+    recording: Annotated[
+        Path | None, typer.Argument(metavar="[FILE]", help="A recorded flight: draw the paper's figures of it.")
+    ] = None,
+    ablations: Annotated[
+        bool, typer.Option("--ablations", help="What each part of the controller is worth, and where it breaks.")
+    ] = False,
+    map_file: Annotated[
+        Path | None, typer.Option("--map", metavar="FILE", help="A map, .json or .svg, from above.")
+    ] = None,
+    scenario_name: Annotated[
+        str | None, typer.Option("--scenario", help="With --map: draw starts of this scenario, too.")
+    ] = None,
+    seeds: Annotated[
+        str | None, typer.Option(help="Seeds: 0-127, 7 or 0-31,100-131.  [default: 0-127; on a map 0-7]")
+    ] = None,
+    folder: Annotated[Path, typer.Option("--out", help="Folder for picture, table and episodes.")] = OUT / "figures",
+    processes: Processes = None,
+    fresh: Fresh = False,
+    json_file: JsonFile = None,
+    force: Force = False,
+) -> None:
+    """Draw a recorded flight, a map, or figures of many flights."""
+    asked = {"FILE": recording is not None, "--ablations": ablations, "--map": map_file is not None}
+    given = " and ".join(name for name, told in asked.items() if told) or "none"
+    if sum(asked.values()) != 1:
+        raise ValueError(f"figures must be told which, got {given}: name a recording, or add --ablations or --map")
+    if scenario_name is not None and map_file is None:
+        raise ValueError(f"--scenario must come with --map, got {scenario_name!r}: what is flown has its own")
+    check_folder(folder)
+    check_writable({"--json": json_file})
+    if recording is not None:
+        _draw_flight(recording, folder, force)
+    elif map_file is not None:
+        _draw_map(map_file, folder, scenario_name, parse_seeds(seeds or "0-7"))
+    else:
+        _draw_ablations(folder, seeds or "0-127", processes, fresh, json_file)
+
+
+def _draw_flight(file: Path, folder: Path, force: bool) -> None:
+    from training.demo import draw
+
+    recording = read_recording(file)
+    folder.mkdir(parents=True, exist_ok=True)
+    with progress() as bar:
+        task = bar.add_task("flying", total=len(recording.actions))
+        flight = from_recording(recording, force=force, watch=lambda step: bar.update(task, completed=step))
+        pictures = draw(flight, folder, animation=False, bar=bar)
+    say_written(pictures)
+
+
+def _draw_map(file: Path, folder: Path, scenario_name: str | None, seeds: list[int]) -> None:
+    from training.map_preview import preview
+
+    picture, problem = preview(file, folder, scenario_name, seeds)
+    if problem:
+        out.print(f"not all starts are drawn: {problem}", style="yellow", highlight=False, soft_wrap=True, markup=False)
+    say_written([picture])
+
+
+def _draw_ablations(folder: Path, seeds: str, processes: int | None, fresh: bool, json_file: Path | None) -> None:
+    from training.evaluation import ablations as studies
+    from training.evaluation.ablation_picture import draw
+
+    numbers, cells = parse_seeds(seeds), studies.cells()
+    results, seconds = fly_all(cells, numbers, folder, processes, fresh)
+    found = studies.gather(results)
+    report = studies.record(found, numbers, seconds)
+    head, rows = studies.rows(found)
+    out.print(grid(f"ablations on {studies.BASE}, {len(numbers)} seeds", head, rows))
+    written = [draw(found, folder / "ablations.png", f"{studies.BASE}, seeds {seeds}, 95 % intervals")]
+    written += [write_json(folder / "ablations.json", report)]
+    written += [write_json(json_file, report)] if json_file is not None else []
+    say_written(written)

@@ -1,0 +1,79 @@
+"""Options that several commands share, and how what they are given is checked."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from baselines import POLICIES
+from fovconn_env import PRESETS, Recording
+from fovconn_env.recording import load
+
+OUT = Path("out")
+
+ScenarioName = Annotated[str, typer.Option("--scenario", help="Scenario id: " + ", ".join(PRESETS))]
+PolicyName = Annotated[str, typer.Option("--policy", help=f"Policy: {', '.join(POLICIES)}; or file.py:Class")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=VALUE", help="Change a scenario setting, e.g. --set n_agents=4; repeatable."),
+]
+Processes = Annotated[int | None, typer.Option(help="Processes; one a core by default.", min=1)]
+Fresh = Annotated[bool, typer.Option("--fresh", help="Fly all anew, also what the folder has.")]
+RecordFile = Annotated[Path | None, typer.Option("--record", metavar="FILE", help="Record the flight here, as .npz.")]
+Force = Annotated[bool, typer.Option("--force", help="Go on where a recorded flight does not come out as it did.")]
+JsonFile = Annotated[
+    Path | None, typer.Option("--json", help="Write what the documentation shows of it here, too, as JSON.")
+]
+
+
+def parse(settings: list[str] | None) -> dict[str, Any]:
+    """NAME=VALUE strings as keywords; values are Python literals, anything else a word."""
+    changes = {}
+    for item in settings or []:
+        name, equals, text = item.partition("=")
+        if not equals:
+            raise ValueError(f"--set must be NAME=VALUE, got {item!r}: for example --set n_agents=4")
+        try:
+            changes[name] = ast.literal_eval(text)
+        except (ValueError, SyntaxError):  # a word, such as quadrotor
+            changes[name] = text
+    return changes
+
+
+def check_folder(folder: Path | None, option: str = "--out") -> None:
+    """`ValueError` where a folder is asked for and there is a file."""
+    if folder is not None and folder.exists() and not folder.is_dir():
+        raise ValueError(f"{option} must name a folder, got {str(folder)!r}: it is a file")
+
+
+def check_writable(files: dict[str, Path | None]) -> None:
+    """Files by their option, None if it was not used."""
+    given = {option: file for option, file in files.items() if file is not None}
+    for option, file in given.items():
+        if file.is_dir() or not file.parent.is_dir():
+            raise ValueError(
+                f"{option} must name a file in an existing folder, got {str(file)!r}: make the folder first"
+            )
+    for file in given.values():  # fails now rather than after the flights
+        there = file.exists()
+        file.touch()
+        if not there:
+            file.unlink()
+
+
+def check_recording(file: Path | None) -> None:
+    """`ValueError` for a recording that cannot be written, before it is flown."""
+    if file is not None and file.suffix != ".npz":
+        raise ValueError(f"--record must name a file in .npz, got {str(file)!r}: recordings have that ending")
+    check_writable({"--record": file})
+
+
+def read_recording(file: Path) -> Recording:
+    """A recording with at least one step; raises as `load`."""
+    found = load(file)
+    if not len(found.actions):
+        raise ValueError(f"{file} holds no step: nothing was flown")
+    return found

@@ -1,0 +1,56 @@
+"""`fovconn play`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fovconn_env.render.palette import THEMES
+from training.commands.options import PolicyName, ScenarioName, Settings, check_recording, parse
+from training.commands.screen import err, say_written
+from training.play.session import Session
+
+LEAST = 320, 240  # px, the smallest page of `render.view`
+
+
+def command(
+    policy: PolicyName = "expert",
+    scenario_name: ScenarioName = "LeaderFollow-v0",
+    seed: Annotated[int, typer.Option(help="Seed of the first flight.", min=0)] = 0,
+    recording_file: Annotated[
+        Path | None,
+        typer.Option("--record", metavar="FILE", help="Record the first flight here, as .npz; later ones as FILE-2."),
+    ] = None,
+    theme: Annotated[str, typer.Option(help="light or dark.")] = "light",
+    size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the window, pixels.")] = "1280x720",
+    fps: Annotated[int, typer.Option(help="Pictures a second, at most.", min=5, max=240)] = 60,
+    settings: Settings = None,
+) -> None:
+    """Fly the leader, or any other robot, yourself: in a window, with keyboard or gamepad. H shows the keys.
+
+    The policy flies all others, and how the leader looks around and avoids things while you pull it. Needs a display.
+    """
+    if theme not in THEMES:
+        raise ValueError(f"--theme must be one of {', '.join(THEMES)}, got {theme!r}")
+    wide, changes = _size(size), parse(settings)
+    check_recording(recording_file)
+    try:
+        from training.play.app import App
+    except ImportError as missing:
+        raise ValueError(f'play needs {missing.name}: pip install "fovconn-env[render]"') from missing
+    with err.status("loading (compiles once, ~20 s)"):
+        Session(scenario_name, policy, seed, changes=changes).step()  # loads the kernels, off the record
+        session = Session(scenario_name, policy, seed, changes=changes, record=recording_file)
+    App(session, size=wide, theme=theme, fps=fps).run()
+    if session.files:
+        say_written(session.files)
+
+
+def _size(text: str) -> tuple[int, int]:
+    """Width and height, px, of "1280x720"."""
+    width, _, height = text.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal() and int(width) >= LEAST[0] and int(height) >= LEAST[1]):
+        raise ValueError(f"--size must be at least {LEAST[0]}x{LEAST[1]}, got {text!r}: write 1280x720")
+    return int(width), int(height)

@@ -1,0 +1,48 @@
+"""`fovconn replay`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fovconn_env.flight import from_recording
+from training.commands.options import Force, check_writable, read_recording
+from training.commands.screen import measures, out, progress, say_written
+from training.evaluation.recordings import measure
+from training.export import WRITERS, check_out, write_flight
+
+
+def command(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, as --record writes it.")],
+    path: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help=f"Write the flight here, as {', '.join(WRITERS)}.")
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Compute a recorded flight again, see that it comes out bit for bit, measure it and write it in other formats."""
+    if path is not None:
+        check_out(path)
+        check_writable({"--out": path})
+    recording = read_recording(file)
+    steps = len(recording.actions)
+    with progress() as bar:
+        task = bar.add_task("flying", total=steps)
+        result, same = measure(recording, force=force, watch=lambda step: bar.update(task, completed=step))
+        if path is not None:
+            task = bar.add_task(f"writing {path.suffix}", total=None)
+            flight = from_recording(recording, force=force)
+            write_flight(flight, path, lambda done, total: bar.update(task, completed=done, total=total))
+            bar.update(task, total=1, completed=1)
+    out.print(measures(result))
+    version = recording.versions.get("fovconn_env", "?")
+    out.print(f"recorded from seed {recording.seed} with fovconn_env {version}", highlight=False)
+    seconds = steps * recording.scenario.step_time
+    out.print(f"outcome: {recording.outcome} after {seconds:.1f} s, {steps} steps", highlight=False)
+    if same:
+        out.print("hash: equal, the flight came out bit for bit")
+    else:
+        out.print("hash: differs, the flight is not the recorded one", style="yellow")
+    if path is not None:
+        say_written([path])

@@ -1,0 +1,75 @@
+"""What the commands print: tables, progress bars, lines."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from baselines import find_policy
+from fovconn_env import Scenario, Simulator
+from training.evaluation import Evaluation, summary
+from training.evaluation.measures import card
+
+# a pipe has no width; rich would take 80 letters, too few for the tables
+out = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else 132)
+err = Console(stderr=True)
+
+
+@contextmanager
+def progress() -> Iterator[Progress]:
+    """A progress bar on the terminal, beside what is printed."""
+    columns = (
+        TextColumn("{task.description:32}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=err) as bar:
+        yield bar
+
+
+def warm_up(bar: Progress, chosen: Scenario, policy: str) -> None:
+    """Load or compile the kernels under a line that says so."""
+    task = bar.add_task("loading (compiles once, ~20 s)", total=None)
+    kind = find_policy(policy)
+    simulator = Simulator(kind.equip(chosen))
+    kind(simulator.scenario).act(simulator.reset(0))
+    bar.update(task, total=1, completed=1, description="loaded")
+
+
+def measures(result: Evaluation) -> Table:
+    """All measures of one policy on one scenario."""
+    count = len(result.seeds)
+    title = f"{result.policy} on {result.scenario.name}, {count} episode{'s' if count > 1 else ''}"
+    _, rows = card({"value": summary(result)})
+    return grid(title, ["measure", "value [95 % interval]" if count > 1 else "value"], rows)
+
+
+def width(head: list[str], rows: list[list[str]]) -> int:
+    """Letters that a line of `grid` takes."""
+    return sum(2 + max(len(cell) for cell in column) for column in zip(head, *rows, strict=True))
+
+
+def grid(title: str, head: list[str], rows: list[list[str]]) -> Table:
+    """A table with the words on the left and the numbers on the right."""
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD)
+    table.show_edge, table.pad_edge, table.collapse_padding = False, False, True  # fits in 80 letters
+    for column in head:
+        table.add_column(column, justify="left" if column == head[0] else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def say_written(files: list[Path]) -> None:
+    """The line that tells which files were written."""
+    out.print("wrote " + ", ".join(str(file) for file in files), highlight=False, soft_wrap=True)

@@ -1,0 +1,137 @@
+"""The keys of `fovconn play`, and how held keys become a stick that feels analog. Knows names of keys, no library.
+
+A name is that of `pygame.key.name`, with "shift+" before it where that key was down as well.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from training.play.stick import Stick
+
+RISE = 0.40  # s from rest to the whole stick while a key is held
+FALL = 0.25  # s from the whole stick back to rest
+
+
+class Key(NamedTuple):
+    """One row of the key table. An axis of `Stick` is pushed while a key is held; anything else is done once."""
+
+    names: tuple[str, ...]
+    does: str  # axis of `Stick`, or a command of `cockpit.Cockpit`
+    words: str
+    value: int = 0  # direction of an axis, or what the command is told
+
+
+TABLE: dict[str, tuple[Key, ...]] = {
+    "fly": (
+        Key(("w", "up"), "forward", "forward", 1),
+        Key(("s", "down"), "forward", "back", -1),
+        Key(("a", "left"), "left", "left", 1),
+        Key(("d", "right"), "left", "right", -1),
+        Key(("r", "page up"), "up", "climb", 1),
+        Key(("f", "page down"), "up", "sink", -1),
+        Key(("q",), "yaw", "turn left", 1),
+        Key(("e",), "yaw", "turn right", -1),
+        Key(("v",), "frame", "forward: away from you, or where it looks"),
+    ),
+    "team": (
+        *(Key((str(k),), "fly", f"fly robot {k}", k - 1) for k in range(1, 10)),
+        Key(("tab",), "next_robot", "fly the next robot", 1),
+        Key(("shift+tab",), "next_robot", "fly the previous robot", -1),
+        Key(("0",), "hands_off", "hand your robot back"),
+        Key(("l",), "lead", "your robot leads"),
+        Key(("g",), "script", "script pulls the leader you do not fly"),
+        Key(("p",), "next_policy", "next policy", 1),
+        Key(("shift+p",), "next_policy", "previous policy", -1),
+    ),
+    "flight": (
+        Key(("space",), "pause", "pause, go on"),
+        Key((".",), "single", "a single step"),
+        Key(("m",), "slow", "slow motion: 1, 1/2, 1/4"),
+        Key(("backspace",), "again", "the same flight again"),
+        Key(("n",), "new_seed", "another flight (next seed)"),
+        Key(("o",), "next_scenario", "next scenario", 1),
+        Key(("shift+o",), "next_scenario", "previous scenario", -1),
+    ),
+    "picture": (
+        Key(("c",), "camera", "orbit, behind a robot, from above"),
+        Key(("x",), "cones", "cameras' views"),
+        Key(("z",), "trails", "trails"),
+        Key(("b",), "above", "view from above, beside"),
+        Key(("t",), "theme", "light or dark"),
+        Key(("h", "f1"), "help", "these keys"),
+        Key(("escape",), "quit", "close what is open, or quit"),
+    ),
+}
+MOUSE = (("drag", "turn the view"), ("wheel", "nearer, farther"), ("right click", "the view as it was"))
+_BY_NAME = {name: key for keys in TABLE.values() for key in keys for name in key.names}
+
+
+def find(name: str) -> Key | None:
+    """The key of a name; Shift does not matter for keys that it does not change."""
+    return _BY_NAME.get(name) or _BY_NAME.get(name.removeprefix("shift+"))
+
+
+def rows(group: str) -> list[tuple[str, str]]:
+    """(keys, what they do) of a group for people, one row for the numbers and for a pair with Shift."""
+    found = []
+    for key in TABLE[group]:
+        if key.does == "fly":
+            if key.value == 0:
+                found.append(("1-9", "fly that robot"))
+        elif key.names[0].startswith("shift+"):
+            keys, words = found[-1]
+            found[-1] = f"{keys}, Shift+{keys}", words.replace("next", "next, previous")
+        else:
+            found.append((" ".join(_label(name) for name in key.names), key.words))
+    return found
+
+
+def _label(name: str) -> str:
+    arrows = {"up": "↑", "down": "↓", "left": "←", "right": "→", "page up": "PgUp", "page down": "PgDn"}
+    return arrows.get(name) or {"escape": "Esc"}.get(name) or (name.upper() if len(name) == 1 else name.capitalize())
+
+
+class Keyboard:
+    """Held keys as a stick: an axis moves towards what is held, as fast as RISE and FALL say."""
+
+    def __init__(self) -> None:
+        self._held: set[str] = set()
+        self._stick = Stick()
+
+    def press(self, name: str) -> bool:
+        """A key went down; tells whether it moves the stick."""
+        name = name.removeprefix("shift+")
+        key = find(name)
+        if key is None or key.does not in Stick._fields:
+            return False
+        self._held.add(name)
+        return True
+
+    def release(self, name: str) -> None:
+        """A key went up."""
+        self._held.discard(name.removeprefix("shift+"))
+
+    def release_all(self) -> None:
+        """No key is held any more, as where the window lost the keyboard; the stick goes to rest by itself."""
+        self._held.clear()
+
+    def update(self, duration: float) -> Stick:
+        """The stick after `duration`, s."""
+        goals = dict.fromkeys(Stick._fields, 0)
+        for key in {found for name in self._held if (found := find(name))}:
+            goals[key.does] += key.value
+        self._stick = Stick(*(ramp(now, goals[axis], duration) for axis, now in self._stick._asdict().items()))
+        return self._stick
+
+
+def ramp(now: float, goal: float, duration: float) -> float:
+    """An axis after `duration`, s, on its way to a goal: back to rest by FALL, then away from it by RISE."""
+    if now * goal < 0.0 or abs(goal) < abs(now):
+        stop = goal if now * goal > 0.0 else 0.0
+        spent = abs(now - stop) * FALL
+        if duration <= spent:
+            return now + (1.0 if stop > now else -1.0) * duration / FALL
+        now, duration = stop, duration - spent
+    reach = duration / RISE
+    return goal if abs(goal - now) <= reach else now + (reach if goal > now else -reach)
