@@ -21,7 +21,6 @@ from fovconn_env.render.page import write_page
 from tests.chromium import Browser
 
 PICTURE = Path(__file__).parent / "images" / "flight_page.png"
-COLORS = 256  # of the picture's palette: a third of the bytes
 AT = 40.0  # s
 
 if __name__ == "__main__":
@@ -36,5 +35,5 @@ if __name__ == "__main__":
             picture = Image.open(io.BytesIO(browser.screenshot()))
         finally:
             browser.close()
-    picture.convert("RGB").quantize(COLORS).save(PICTURE, optimize=True)
+    picture.convert("RGB").save(PICTURE, optimize=True)
     print(PICTURE)

@@ -119,6 +119,12 @@ def test_curves_are_the_flight_s(columns):
     assert ("plots/yaw/uav_1/uav_2", "Scalars:scalars") not in columns  # never valid
 
 
+def test_a_missing_folder_is_an_os_error(tmp_path):
+    pytest.importorskip("rerun")
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        write_rrd(FLIGHT, tmp_path / "nowhere" / "flight.rrd")
+
+
 def test_a_team_without_leader_and_obstacles(tmp_path):
     pytest.importorskip("rerun")
     settings = make_flight().scenario.__class__(leader="none", n_agents=3)

@@ -38,6 +38,7 @@ def write_rrd(flight: Flight, path: Path) -> Path:
         raise gymnasium.error.DependencyNotInstalled(
             f'write_rrd() needs {missing.name}: pip install "fovconn-env[rerun]"'
         ) from missing
+    path.open("wb").close()  # an OSError where that fails; rerun's own is a RuntimeError
     name = f"{flight.scenario.name}, seed {flight.seed}"
     with rr.RecordingStream("fovconn_env", recording_id=name) as stream:
         stream.save(path, default_blueprint=_layout(rr, flight))
