@@ -77,12 +77,28 @@ def write_mp4(flight: Flight, path: Path, watch: Watch) -> None:
         container.mux(stream.encode())
 
 
+def write_html(flight: Flight, path: Path, watch: Watch) -> None:
+    """A web page that plays the flight back, without network and without an install."""
+    from fovconn_env.render.page import write_page
+
+    write_page(flight, path, progress=watch)
+
+
+def write_rerun(flight: Flight, path: Path, watch: Watch) -> None:
+    """A recording for the viewer rerun."""
+    from fovconn_env.render.rerun_log import write_rrd
+
+    write_rrd(flight, path)
+
+
 # By suffix: the writer, the packages it needs, and the extra of this project that has them.
 WRITERS: dict[str, tuple[Callable[[Flight, Path, Watch], None], tuple[str, ...], str]] = {
     ".gif": (write_gif, ("matplotlib", "PIL"), "render"),
     ".mp4": (write_mp4, ("matplotlib", "PIL", "av"), "render,export"),
     ".csv": (write_csv, (), ""),
     ".parquet": (write_parquet, ("pyarrow",), "export"),
+    ".html": (write_html, (), ""),
+    ".rrd": (write_rerun, ("rerun",), "rerun"),
 }
 
 
