@@ -198,6 +198,30 @@ def test_a_missing_package_is_named_with_its_extra(fovconn, file, monkeypatch, s
     assert not list(Path().glob("flight.[!n]*"))
 
 
+@pytest.mark.parametrize("words", [("figures", "flight.npz"), ("figures", "--ablations"), ("demo",)], ids=" ".join)
+def test_without_matplotlib_pictures_name_the_extra(file, words):
+    """In a process of its own, where matplotlib cannot be imported."""
+    program = (
+        "import importlib.util, sys\n"
+        "class Hidden:\n"
+        "    def find_spec(self, name, *rest):\n"
+        "        if name.partition('.')[0] == 'matplotlib':\n"
+        "            raise ModuleNotFoundError(f'No module named {name!r}', name=name)\n"
+        "sys.meta_path.insert(0, Hidden())\n"
+        "found = importlib.util.find_spec\n"
+        "importlib.util.find_spec = lambda name, *rest: None if name == 'matplotlib' else found(name, *rest)\n"
+        "from training.cli import main\n"
+        "main()\n"
+    )
+    variables = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200"}
+    task = subprocess.run(
+        [sys.executable, "-c", program, *words], cwd=file.parent, env=variables, capture_output=True, text=True
+    )
+    assert task.returncode == 2
+    assert task.stderr.splitlines() == [f'fovconn: {words[0]} needs matplotlib: pip install "fovconn-env[render]"']
+    assert [path.name for path in file.parent.iterdir()] == ["flight.npz"]
+
+
 def test_a_writer_that_fails_leaves_nothing(file, recording, tmp_path, monkeypatch):
     def fail(flight, path, watch):
         path.write_text("half")

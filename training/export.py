@@ -106,10 +106,14 @@ def check_out(path: Path) -> None:
     """`ValueError` where no writer knows the suffix, or its packages are not installed: which, and how to get them."""
     if path.suffix not in WRITERS:
         raise ValueError(f"--out must end in one of {', '.join(WRITERS)}, got {str(path)!r}: the ending is the format")
-    _, packages, extra = WRITERS[path.suffix]
+    check_installed(path.suffix, *WRITERS[path.suffix][1:])
+
+
+def check_installed(what: str, packages: tuple[str, ...] = ("matplotlib", "PIL"), extra: str = "render") -> None:
+    """`ValueError` where something needs packages that are missing: which, and the extra that has them."""
     missing = [name for name in packages if importlib.util.find_spec(name) is None]
     if missing:
-        raise ValueError(f'{path.suffix} needs {" and ".join(missing)}: pip install "fovconn-env[{extra}]"')
+        raise ValueError(f'{what} needs {" and ".join(missing)}: pip install "fovconn-env[{extra}]"')
 
 
 def write_flight(flight: Flight, path: Path, watch: Watch) -> Path:
