@@ -50,6 +50,7 @@ def make_flight(n=3, obstacles=False) -> Flight:
         yaw=yaw,
         yaw_hat=yaw + 0.1,
         yaw_valid=watch > 0,
+        alive=np.ones((len(time), n), bool),
         waypoints=np.array([[2.0, 0.0, 0.0], [6.0, 3.0, 1.0]]),
         pieces=pieces,
         vertices=vertices,

@@ -114,10 +114,14 @@ def test_two_minutes_of_six_robots_stay_below_eight_megabytes(tmp_path):
     """Noise, which does not compress, in every array."""
     generator, settings_ = np.random.default_rng(0), scenario("LeaderFollow-v0")
     t, n = 2401, settings_.n_agents
-    shapes = {name: (t, *getattr(FLIGHT, name).shape[1:]) for name in FLIGHT._fields[2:13]}
+    shapes = {name: (t, *getattr(FLIGHT, name).shape[1:]) for name in FLIGHT._fields[2:14]}
     noise = {name: generator.normal(size=[n if size == 3 else size for size in shapes[name]]) for name in shapes}
     noise |= {"time": np.arange(t) * settings_.step_time, "stick": noise["stick"][:, :3], "yaw_valid": noise["yaw"] > 0}
-    noise |= {"weights": noise["weights"] % 1.0, "leader": generator.integers(n, size=t)}
+    noise |= {
+        "alive": noise["lambda2_hat"] > 0,
+        "weights": noise["weights"] % 1.0,
+        "leader": generator.integers(n, size=t),
+    }
     flight = FLIGHT._replace(scenario=settings_, **noise)
     assert write_page(flight, tmp_path / "a.html").stat().st_size < 8e6
 
@@ -243,6 +247,48 @@ def test_links_show_who_sees_whom(browser, page):
         assert f"{wanted[0]} links, " in browser.evaluate("document.getElementById('clock').textContent")
         browser.evaluate(f"player.seek({time + 1.0})")
         browser.settle()
+
+
+def test_links_of_one_robot_alone(browser, page):
+    browser.open(page, "#t=2.5")
+    assert browser.evaluate("player.view.tubes.count") == 2  # of 1 with both others
+    for robot, wanted in (("1", 1), ("0", 2), ("", 2)):
+        browser.evaluate(f"(s => {{ s.value = '{robot}'; s.onchange(); }})(document.getElementById('linked'))")
+        browser.settle()
+        assert browser.evaluate("player.view.tubes.count") == wanted
+    assert browser.problems == []
+
+
+def test_who_is_down_is_grey(browser, tmp_path):
+    """Robot 2 from 1 s to 3 s."""
+    alive = FLIGHT.alive.copy()
+    alive[(FLIGHT.time >= 1.0) & (FLIGHT.time < 3.0), 1] = False
+    browser.open(write_page(FLIGHT._replace(alive=alive), tmp_path / "flight.html"))
+    look = "player.view.robots.map(r => ['#' + r.body.children[0].material.color.getHexString(), r.cone.visible])"
+    colors = [color.lower() for color in palette.colors_of(FLIGHT.scenario, palette.LIGHT)]
+    for time, down in ((0.95, False), (1.05, True), (2.85, True), (3.05, False), (4.0, False)):
+        browser.evaluate(f"player.seek({time})")
+        browser.settle()
+        wanted = [[color, True] for color in colors]
+        if down:
+            wanted[1] = [palette.LIGHT.faint.lower(), False]
+        assert browser.evaluate(look) == wanted, time
+        assert browser.evaluate("document.querySelectorAll('.down').length") == down
+    assert not browser.evaluate("document.querySelector('.fails').hidden")
+    assert browser.problems == []
+
+
+def test_numbers_do_not_stand_on_each_other(browser, tmp_path):
+    """Two robots in one place: the leader's number is shown; apart again, both are."""
+    poses = FLIGHT.poses.copy()
+    poses[:41, 1] = poses[:41, 0] + [0.05, 0.0, 0.0, 0.0]
+    browser.open(write_page(FLIGHT._replace(poses=poses), tmp_path / "flight.html"), "#t=1")
+    shown = "player.view.robots.map(robot => robot.number.visible)"
+    assert browser.evaluate(shown) == [True, False, True]
+    browser.evaluate("player.seek(4.0)")
+    browser.settle()
+    assert browser.evaluate(shown) == [True, True, True]
+    assert browser.problems == []
 
 
 def test_the_ring_and_the_stick_are_at_whoever_leads(browser, tmp_path):

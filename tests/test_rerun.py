@@ -7,11 +7,13 @@ import gymnasium
 import numpy as np
 import pytest
 
-from fovconn_env.render.rerun_log import body_strips, camera_strips, prisms, write_rrd
+from fovconn_env.render import palette
+from fovconn_env.render.rerun_log import THEME, body_strips, camera_strips, prisms, write_rrd
 from fovconn_env.render.shapes3d import attitudes
 from tests.made_flight import make_flight
 
 FLIGHT = make_flight(obstacles=True)._replace(tilt=np.full((81, 3, 2), (0.1, -0.2)))
+FLIGHT.alive[20:60, 1] = False
 
 
 @pytest.fixture(scope="module")
@@ -78,6 +80,17 @@ def test_poses_are_transforms(columns):
         np.testing.assert_allclose(places, FLIGHT.poses[:, i, :3], atol=1e-5)
         turns = np.array(columns[f"world/{name}", "Transform3D:mat3x3"]).reshape(-1, 3, 3).swapaxes(1, 2)
         np.testing.assert_allclose(turns, attitudes(FLIGHT.poses[:, i, 3], FLIGHT.tilt[:, i]), atol=1e-6)
+
+
+def test_who_is_down_is_grey_and_blind(columns):
+    """Robot 2 from 1 s on, until it works again at 3 s; see FLIGHT."""
+    color, faint = (int(name[1:] + "FF", 16) for name in (palette.colors_of(FLIGHT.scenario, THEME)[1], THEME.faint))
+    place, field = f"world/{FLIGHT.scenario.agents[1]}", "LineStrips3D:colors"
+    assert np.ravel(columns[f"{place}/body", field]).tolist() == [color, faint, color]
+    assert [value & 255 for value in np.ravel(columns[f"{place}/camera", field]).tolist()] == [120, 0, 120]
+    assert len(columns[f"world/{FLIGHT.scenario.agents[0]}/body", field]) == 1
+    times = np.ravel(columns[f"{place}/body", "time"])
+    assert [when.total_seconds() for when in times] == [0.0, 1.0, 3.0]
 
 
 def test_links_come_and_go(columns):

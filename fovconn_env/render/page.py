@@ -69,6 +69,7 @@ def arrays(flight: Flight) -> dict[str, np.ndarray]:
         "sees": (flight.watch[k] > 0).astype("u1"),
         "yaw_error": np.round(off).astype("<i2"),  # mrad, wrapped
         "yaw_valid": flight.yaw_valid[k].astype("u1"),
+        "alive": flight.alive[k].astype("u1"),
     }
 
 
@@ -85,6 +86,7 @@ def settings(flight: Flight) -> dict[str, Any]:
     return {
         "n": scenario.n_agents,
         "led": led,
+        "fails": not flight.alive.all(),
         "interval": max(INTERVAL, scenario.step_time),
         "bound": scenario.lambda2_min,
         "ending": _ENDINGS.get(flight.outcome, flight.outcome),

@@ -124,11 +124,18 @@ def _log_robots(rr: Any, stream: Any, flight: Flight) -> None:
         place = f"world/{name}"
         turns = attitudes(flight.poses[:, i, 3], flight.tilt[:, i])  # (T, 3, 3)
         stream.send_columns(place, when, rr.Transform3D.columns(translation=at[:, i], mat3x3=turns))
-        shape = rr.LineStrips3D([_SIZE * part for part in body_strips()], colors=color, radii=-1.5)
+        shape = rr.LineStrips3D([_SIZE * part for part in body_strips()], radii=-1.5)
         stream.log(f"{place}/body", shape, static=True)
-        stream.log(f"{place}/name", rr.Points3D([[0.0, 0.0, 0.0]], colors=color, labels=[str(i + 1)]), static=True)
-        view = rr.LineStrips3D(camera_strips(flight), colors=[*color, 120], radii=-0.7)
-        stream.log(f"{place}/camera", view, static=True)
+        stream.log(f"{place}/name", rr.Points3D([[0.0, 0.0, 0.0]], labels=[str(i + 1)]), static=True)
+        stream.log(f"{place}/camera", rr.LineStrips3D(camera_strips(flight), radii=-0.7), static=True)
+        alive = flight.alive[:, i]
+        changes = np.flatnonzero(np.diff(alive, prepend=~alive[:1]))  # 0, and where it fails or works again
+        then = [rr.TimeColumn(TIMELINE, duration=flight.time[changes])]
+        shades = [color if works else _rgb(THEME.faint) for works in alive[changes]]
+        views = [[*color, 120 if works else 0] for works in alive[changes]]  # who is down sees nothing
+        stream.send_columns(f"{place}/body", then, rr.LineStrips3D.columns(colors=shades))
+        stream.send_columns(f"{place}/name", then, rr.Points3D.columns(colors=shades))
+        stream.send_columns(f"{place}/camera", then, rr.LineStrips3D.columns(colors=views))
     past = np.linspace(-_TRAIL, 0.0, _TRAIL + 1)
     steps = np.clip(np.searchsorted(flight.time, flight.time[:, None] + past - 1e-9), 0, len(flight.time) - 1)
     strips = at[steps].swapaxes(1, 2)  # (T, N, 16, 3)

@@ -54,6 +54,11 @@ function leaderAt(flight, { k, share }) {
   return flight.leader[Math.min(k + (share > 0 ? 1 : 0), flight.time.length - 1)];
 }
 
+/** Whether a robot works, and no fault has it down, from an instant to the next. */
+function aliveAt(flight, i, { k, share }) {
+  return flight.alive[Math.min(k + (share === 1 ? 1 : 0), flight.time.length - 1) * flight.n + i] > 0;
+}
+
 /** A colour of the theme, as page.py wrote it for light and dark. */
 function color(name) {
   return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();

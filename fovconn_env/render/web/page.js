@@ -32,16 +32,18 @@ class Player {
   }
 
   _listRobots() {
-    const { n, led, observer } = this.flight;
+    const { n, led, fails, observer } = this.flight;
     for (let i = 0; i < n; i++) {
       const item = document.createElement("li"), dot = document.createElement("span");
       dot.className = "dot";
       dot.style.setProperty("--color", `var(--robot-${i})`);
       item.append(dot, String(i + 1));
       element("robots").append(item);
+      element("linked").append(new Option(`of ${i + 1}`, i));
       element("observer").append(new Option(`robot ${i + 1}`, i, false, i === observer));
     }
     document.querySelectorAll(".led").forEach((item) => { item.hidden = !led; });
+    document.querySelectorAll(".fails").forEach((item) => { item.hidden = !fails; });
   }
 
   _listen(seek) {
@@ -51,6 +53,10 @@ class Player {
     element("observer").onchange = () => {
       element("yaw").replaceChildren();
       this.yaw = yawPlot(element("yaw"), this.flight, Number(element("observer").value), seek);
+      this.request();
+    };
+    element("linked").onchange = () => {
+      if (this.view) this.view.linked = element("linked").value === "" ? null : Number(element("linked").value);
       this.request();
     };
     for (const name of ["cones", "trails"]) element(name).onchange = () => this.request();
@@ -113,11 +119,11 @@ class Player {
     this._write();
     for (const plot of [this.lambda2, this.yaw]) plot.show(this.time);
     if (this.view) {
+      this.view.show(this.time);
       for (const robot of this.view.robots) {
-        robot.cone.visible = element("cones").checked;
+        robot.cone.visible = robot.alive && element("cones").checked;
         robot.trail.visible = element("trails").checked;
       }
-      this.view.show(this.time);
       this.view.draw();
     }
     if (this.playing && this.time >= this.flight.end) this.toggle();
@@ -129,7 +135,10 @@ class Player {
     const { flight, time } = this, now = locate(flight, time), links = linksAt(flight, now);
     const mutual = links.filter(([, , , own, other]) => own && other).length;
     const leader = flight.led ? leaderAt(flight, now) : null;
-    [...element("robots").children].forEach((item, i) => item.classList.toggle("leads", i === leader));
+    [...element("robots").children].forEach((item, i) => {
+      item.classList.toggle("leads", i === leader);
+      item.classList.toggle("down", !aliveAt(flight, i, now));
+    });
     element("time").value = time;
     element("elapsed").textContent = `${time.toFixed(1)} / ${flight.end.toFixed(1)} s`;
     element("clock").textContent =

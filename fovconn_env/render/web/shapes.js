@@ -44,8 +44,8 @@ function quadrotor() {
   return { body, skin };
 }
 
-/** The field of view: a strong cone near the robot, and a sector out to the camera's range. */
-function cameraCone({ axis, a_min, d_max }) {
+/** The field of view: a strong cone near the robot, and, if it reaches, a sector out to the camera's range. */
+function cameraCone({ axis, a_min, d_max }, reaches) {
   const ahead = new L.Vector3(...axis), up = new L.Vector3(0, 0, 1);
   const side = new L.Vector3().crossVectors(up, ahead);
   if (side.length() < 1e-6) side.set(0, 1, 0);
@@ -57,12 +57,10 @@ function cameraCone({ axis, a_min, d_max }) {
   const rim = Array.from({ length: 49 }, (_, k) => mix(STUB, a_min, reach * Math.cos(turn(k, 48)), reach * Math.sin(turn(k, 48))));
   const half = Math.acos(a_min);
   const arc = Array.from({ length: 41 }, (_, k) => mix(d_max, Math.cos(half * (k / 20 - 1)), Math.sin(half * (k / 20 - 1)), 0));
-  const parts = [
-    new L.Mesh(fanned([0, 0, 0], rim), flat(0.16)),
-    new L.Line(points(rim), line(0.65)),
-    new L.Mesh(fanned([0, 0, 0], arc), flat(0.05)),
-    new L.Line(points([[0, 0, 0], ...arc, [0, 0, 0]]), line(0.3)),
-  ];
+  const parts = [new L.Mesh(fanned([0, 0, 0], rim), flat(0.16)), new L.Line(points(rim), line(0.65))];
+  if (reaches) {
+    parts.push(new L.Mesh(fanned([0, 0, 0], arc), flat(0.05)), new L.Line(points([[0, 0, 0], ...arc, [0, 0, 0]]), line(0.3)));
+  }
   const cone = new L.Group();
   cone.add(...parts);
   return { cone, skins: parts.map((part) => part.material) };

@@ -21,6 +21,7 @@ class View {
     this.at = Array.from({ length: flight.n }, () => new L.Vector3());
     this.painters = []; // called with a new theme
     this.labels = [];
+    this.linked = null; // whose links alone are shown
     this.fine = flight.n > 12 ? 0.6 : 1; // a large team is drawn thinner
     this._light();
     this._ground();
@@ -40,9 +41,11 @@ class View {
     return material;
   }
 
+  /** A word of `pixels` on the screen in letters of `size` of 96; `name` is that of its colour, or a function. */
   _label(name, word, size, pixels) {
-    const { sprite, paint } = label();
-    this.painters.push(() => paint(word, color(name), color("panel"), size));
+    const { sprite, paint } = label(), named = () => (typeof name === "string" ? name : name());
+    sprite.repaint = () => paint(word, color(named()), color("panel"), size);
+    this.painters.push(sprite.repaint);
     this.labels.push([sprite, pixels]);
     return this._add(sprite);
   }
@@ -74,29 +77,37 @@ class View {
 
   _course() {
     const { course } = this.flight;
+    this.goals = []; // numbers of way points
     if (course.length < 2) return;
     const skin = this._paint(new L.LineDashedMaterial({ dashSize: 0.35, gapSize: 0.3 }), "operator");
     this._add(new L.Line(points(course), skin)).computeLineDistances();
     course.slice(1).forEach((place, k) => {
-      this._label("operator", "★", 88, 30).position.set(...place);
+      const star = this._label("operator", "★", 88, 30);
+      star.position.set(...place);
+      star.renderOrder = 8; // below numbers
       const number = this._label("operator", String(k + 1), 60, 26);
       number.position.set(...place);
       number.center.set(-0.15, 0.5);
+      this.goals.push(number);
     });
   }
 
   _robots() {
     this.robots = this.at.map((_, i) => {
-      const name = `robot-${i}`, { body, skin } = quadrotor(), { cone, skins } = cameraCone(this.flight.camera);
-      [skin, ...skins].forEach((material) => this._paint(material, name));
+      const name = `robot-${i}`, { body, skin } = quadrotor(), { cone, skins } = cameraCone(this.flight.camera, this.fine === 1);
+      skins.forEach((material) => this._paint(material, name));
       const trail = new L.Line2(new L.LineGeometry(), this._paint(new L.LineMaterial({ linewidth: 2, transparent: true, opacity: 0.7 }), name));
       trail.frustumCulled = false;
       const shadow = new L.Mesh(new L.CircleGeometry(1, 24), this._paint(flat(), "shadow"));
       const plumb = new L.LineSegments(points([[0, 0, 0], [0, 0, -1]]), this._paint(line(0.9), "shadow"));
-      const number = this._label(name, String(i + 1), 64, 26 * Math.sqrt(this.fine));
-      number.center.set(0.5, -0.25);
+      const robot = { body, cone, trail, shadow, plumb, alive: true }, shade = () => (robot.alive ? name : "faint");
+      const ink = () => (robot.alive && this.fine < 1 ? "text" : shade()); // pale numbers are hard to read in a crowd
+      robot.number = this._label(ink, String(i + 1), 64, 26 * Math.sqrt(this.fine));
+      robot.number.center.set(0.5, -0.25);
+      robot.repaint = () => skin.color.set(color(shade()));
+      this.painters.push(robot.repaint);
       this._add(body, cone, trail, shadow, plumb);
-      return { body, cone, trail, shadow, plumb, number };
+      return robot;
     });
   }
 
@@ -126,7 +137,7 @@ class View {
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
     this.height = height;
-    const unit = (2 * Math.tan((this.camera.fov * Math.PI) / 360)) / height;
+    const unit = (this._unit = (2 * Math.tan((this.camera.fov * Math.PI) / 360)) / height);
     for (const [sprite, pixels] of this.labels) sprite.scale.set(pixels * unit, pixels * unit, 1);
   }
 
@@ -147,7 +158,12 @@ class View {
     });
     this._follow();
     this.robots.forEach((robot, i) => {
-      const at = this.at[i];
+      const at = this.at[i], alive = aliveAt(flight, i, now);
+      if (alive !== robot.alive) {
+        robot.alive = alive;
+        robot.repaint();
+        robot.number.repaint();
+      }
       for (const part of [robot.body, robot.cone]) {
         part.position.copy(at);
         part.quaternion.copy(turns[i]);
@@ -179,14 +195,16 @@ class View {
     });
     this._drawLinks();
     this._drawStick();
+    this._thin();
     this.renderer.render(this.scene, this.camera);
   }
 
   _drawLinks() {
     let tubes = 0, heads = 0;
     for (const [i, j, weight, own, other] of linksAt(this.flight, this.now)) {
+      if (this.linked !== null && i !== this.linked && j !== this.linked) continue;
       const [eye, seen] = own ? [this.at[i], this.at[j]] : [this.at[j], this.at[i]], mutual = own && other;
-      const middle = new L.Vector3().addVectors(eye, seen).divideScalar(2), radius = this.fine * (0.7 + 2.2 * weight) * this._pixel(middle);
+      const middle = new L.Vector3().addVectors(eye, seen).divideScalar(2), radius = this.fine ** 2 * (0.7 + 2.2 * weight) * this._pixel(middle);
       let end = seen;
       if (!mutual) {
         const size = Math.max(2.4 * radius, 4.5 * this.fine * this._pixel(seen));
@@ -215,6 +233,19 @@ class View {
     const neck = new L.Vector3().copy(at).addScaledVector(push, 1.0 + 1.2 * speed);
     this.shaft.lay(0, at, neck, 2.5 * pixel);
     this.tip.lay(0, neck, new L.Vector3().copy(neck).addScaledVector(push, 18 * pixel), 7 * pixel);
+  }
+
+  /** Hide numbers that would stand on another: the leader's comes first, those of way points last. */
+  _thin() {
+    const leader = this.leader(), { aspect } = this.camera, taken = [];
+    const numbers = [this.robots[leader], ...this.robots.filter((_, i) => i !== leader)].map((robot) => robot.number);
+    this.camera.updateMatrixWorld();
+    for (const number of [...numbers, ...this.goals]) {
+      const { x, y, z } = number.position.clone().project(this.camera), size = number.scale.x / this._unit;
+      const left = (x * aspect * this.height) / 2 - number.center.x * size, low = (y * this.height) / 2 - number.center.y * size;
+      number.visible = z < 1 && taken.every(([u, v, wide]) => left > u + wide || u > left + size || Math.abs(low - v) > 0.7 * wide);
+      if (number.visible) taken.push([left, low, size]);
+    }
   }
 
   /** The robot that leads now. */
