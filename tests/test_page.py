@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from baselines import find_policy, load_policy
+from fovconn_env.flight import fly
 from fovconn_env.render import page as page_module
 from fovconn_env.render import palette
 from fovconn_env.render.page import SCRIPTS, arrays, instants, settings, write_page
@@ -134,7 +136,7 @@ def test_the_libraries_are_those_that_package_json_names():
     assert head.count("Permission is hereby granted") == 2
 
 
-@pytest.mark.skipif(not shutil.which("node"), reason="there is no node")
+@pytest.mark.skipif(not shutil.which("node"), reason="Node runs this test, and there is none: apt-get install nodejs")
 def test_the_script_reads_what_was_written(page):
     program = (
         "globalThis.document = { getElementById: () => ({ textContent: require('fs').readFileSync(0, 'utf8') }) };"
@@ -159,10 +161,19 @@ def test_the_script_reads_what_was_written(page):
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
     if CHROMIUM is None:
-        pytest.skip("there is no Chromium: apt-get install chromium")
+        pytest.skip("The page is tested in a browser, and there is none: apt-get install chromium")
     opened = Browser(tmp_path_factory.mktemp("chromium"))
     yield opened
     opened.close()
+
+
+@pytest.fixture(scope="module")
+def long(tmp_path_factory):
+    """The page of a real flight of six robots over two minutes."""
+    equipped = find_policy("expert").equip(scenario("LeaderFollow-v0", leader="random"))
+    flight = fly(equipped, load_policy("expert", equipped).act, seed=1)
+    assert flight.time[-1] == pytest.approx(120.0)
+    return write_page(flight, tmp_path_factory.mktemp("long") / "flight.html")
 
 
 @pytest.fixture
@@ -327,6 +338,24 @@ def test_everything_fits_on_a_small_screen(browser, page):
     assert browser.evaluate("document.documentElement.scrollHeight") == 720
     for plot in ("lambda2", "yaw"):
         assert browser.box(f"#{plot} .u-over")[3] > 100
+
+
+def test_two_minutes_open_and_play_without_a_complaint(browser, long):
+    assert long.stat().st_size < 8e6
+    browser.open(long)
+    for _ in range(2):
+        browser.press("ArrowRight")
+    assert browser.evaluate("player.time") == pytest.approx(2.0)
+    browser.press("End")
+    assert "120.0 / 120.0 s" in browser.evaluate("document.getElementById('elapsed').textContent")
+    assert browser.problems == []
+    assert browser.requests == [f"file://{long}"]
+
+
+@pytest.mark.slow
+def test_two_minutes_open_within_three_seconds(browser, long):
+    """The best of three: a busy machine is not the page's fault."""
+    assert min(browser.open(long) for _ in range(3)) < 3.0
 
 
 def test_plots_work_without_webgl(browser, page):
