@@ -23,7 +23,10 @@ from fovconn_env.render.history import SPAN, History
 from fovconn_env.render.instant import instant_of
 from fovconn_env.render.palette import DARK, LIGHT, THEMES, colors_of
 from fovconn_env.render.pixels import MASKS, halve, rgb_array
+from fovconn_env.render.places import divide
 from fovconn_env.render.projection import NEAR, clipped, fitting_distance, from_above, in_front, look_at, project
+from fovconn_env.render.strip import FINE
+from fovconn_env.render.text import Typesetter
 from fovconn_env.render.view import View
 from fovconn_env.scenarios import scenario
 from fovconn_env.settings import Fault
@@ -253,6 +256,75 @@ def test_the_arrow_points_at_the_robot_that_is_seen():
     columns = (np.abs(image - wanted).max(axis=-1) <= 12).sum(axis=0)
     x = np.flatnonzero(columns)
     assert columns[x[len(x) // 2] :].max() > 2 * columns[x[: len(x) // 2]].max()
+
+
+def test_links_of_one_robot_alone():
+    simulator = started()
+    weights = simulator.state.pair["weight"][0]
+    outside = [i for i in range(6) if not weights[i].any()]
+    view = View(simulator.scenario, look=Look(trails=False, cones=False))
+    image = world_of(view, pixels(view.draw(simulator)))
+    whole = count(image, LIGHT.mutual) + count(image, LIGHT.one_way)
+    assert not outside
+    shares = []
+    for i in range(6):
+        view.look = Look(trails=False, cones=False, linked=i)
+        image = world_of(view, pixels(view.draw(simulator)))
+        shares.append((count(image, LIGHT.mutual) + count(image, LIGHT.one_way)) / whole)
+    assert max(shares) < 0.95
+    assert sum(shares) > 1.0, "each link is one of two robots"
+
+
+@pytest.mark.parametrize("size", [(320, 240), (640, 480), (1280, 720)])
+def test_words_keep_off_stars(size):
+    """Numbers of way points stand beside their stars, and what is under the title cannot be seen."""
+    simulator = started("LeaderFollow-v0")
+    world = simulator.world.waypoint[0]
+    world[:3] = simulator.poses()[0, [0, 1, 2], :3] + [0.0, 0.0, 1.0]
+    view = View(simulator.scenario, size)
+    marks, paint = [], view._paint
+    view._paint = lambda place, *rest: marks.append((place, found := paint(place, *rest))) or found
+    view.draw(simulator)
+    stars = [
+        (at / FINE + place.topleft, found.star / FINE)
+        for place, found in marks
+        for at in found.waypoints
+        if place.collidepoint(at / FINE + place.topleft)
+    ]
+    assert len(stars) > 3
+    for (x, y), radius in stars:
+        star = pygame.Rect(0, 0, 1.3 * radius, 1.3 * radius)
+        star.center = round(x), round(y)
+        assert star.collidelist(view._type.taken) < 0
+    assert overlaps(view) == []
+
+
+def test_warnings_leave_room_for_the_team():
+    faults = tuple(Fault(kind=kind, robot=i, at=0.0) for i, kind in enumerate(("camera", "radio", "robot"), start=1))
+    simulator = started("Blackout-v0", patience=1e3, faults=faults)
+    for _ in range(2):
+        simulator.step(np.zeros((1, 6, 4)))
+    for size, least in (((320, 240), 1), ((1280, 720), 3)):
+        view = View(simulator.scenario, size)
+        view.draw(simulator)
+        world = divide(size, view._type.line, above=True).world
+        page = pixels(view._page)[: world.height, : world.width]
+        rows = np.flatnonzero(
+            (np.abs(page - [int(LIGHT.warning[k : k + 2], 16) for k in (1, 3, 5)]) < 3).all(2)[:, :14].any(1)
+        )
+        assert rows.max() < 0.36 * world.height
+        assert len(rows) >= least * view._type.line
+        assert overlaps(view) == []
+
+
+def test_long_words_are_broken():
+    type_ = Typesetter(12)
+    assert type_.broken("one two", 1000) == ["one two"]
+    lines = type_.broken("pause: Space goes on, a dot flies one step", 150)
+    assert " ".join(lines) == "pause: Space goes on, a dot flies one step"
+    assert len(lines) > 1
+    assert all(type_.width(line) <= 150 for line in lines)
+    assert type_.broken("you fly robot 1   0.52 m/s", type_.width("you fly robot 1   0.5")) == ["you fly robot 1"]
 
 
 def test_switches_of_the_look():

@@ -13,7 +13,7 @@ from fovconn_env.render.view import View
 from training.play import gamepad
 from training.play.keyboard import Key, Keyboard, find
 from training.play.pace import Pace
-from training.play.panels import draw_panel, help_columns, score_rows
+from training.play.panels import HELP, draw_panel, help_pages, score_rows
 from training.play.session import Session
 from training.play.stick import REST, Stick, together
 
@@ -36,7 +36,8 @@ class Cockpit:
         self.session, self.theme = session, theme
         self.keyboard, self.pad = Keyboard(), REST
         self.pace = Pace(session.scenario.step_time)
-        self.paused = self.helps = self.ended = self.asked_to_quit = False
+        self.paused = self.ended = self.asked_to_quit = False
+        self.helps = 0  # the page of the help that is shown, 0 for none
         self.reason = ""  # of a pause that nobody asked for
         self.frame = "view"  # forward is away from the person, or "robot": where it looks
         self._speed, self._sentence, self._left, self._seen = 0, "", 0.0, False
@@ -133,12 +134,12 @@ class Cockpit:
         return ""
 
     def do_help(self) -> str:
-        self.helps = not self.helps
+        self.helps = (self.helps + 1) % (len(help_pages(self._view.size)) + 1)
         return ""
 
     def do_quit(self) -> str:
         if self.helps:
-            self.helps = False
+            self.helps = 0
         elif self.ended and not self._seen:
             self._seen = True  # the score, to look at the picture
         else:
@@ -155,7 +156,7 @@ class Cockpit:
     @property
     def stands(self) -> bool:
         """No time goes by in the flight."""
-        return self.paused or self.helps or self.session.over
+        return self.paused or self.helps > 0 or self.session.over
 
     def say(self, sentence: str) -> None:
         """Show a sentence for a while."""
@@ -187,7 +188,10 @@ class Cockpit:
         self._shown = shown
         page, theme = view.draw(session.simulator, late=late), THEMES[self.theme]
         if self.helps:
-            draw_panel(page, theme, "fovconn play", help_columns(), veil=225)
+            pages = help_pages(view.size)
+            number = min(self.helps, len(pages))  # a window may have grown
+            foot = f"{number} of {len(pages)}   H: next   Esc: close" if len(pages) > 1 else ""
+            draw_panel(page, theme, HELP, pages[number - 1], foot=foot, veil=225)
         elif panel[-1]:
             score, files = session.score(), f", recorded in {session.files[-1].name}" if session.files else ""
             foot = "Backspace: again   N: next seed   Esc: look"
