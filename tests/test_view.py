@@ -275,7 +275,7 @@ def test_links_of_one_robot_alone():
     assert sum(shares) > 1.0, "each link is one of two robots"
 
 
-@pytest.mark.parametrize("size", [(320, 240), (640, 480), (1280, 720)])
+@pytest.mark.parametrize("size", [(640, 480), (1280, 720), (1920, 1080)])
 def test_words_keep_off_stars(size):
     """Numbers of way points stand beside their stars, and what is under the title cannot be seen."""
     simulator = started("LeaderFollow-v0")
@@ -293,7 +293,7 @@ def test_words_keep_off_stars(size):
     ]
     assert len(stars) > 3
     for (x, y), radius in stars:
-        star = pygame.Rect(0, 0, 1.3 * radius, 1.3 * radius)
+        star = pygame.Rect(0, 0, 1.7 * radius, 1.7 * radius)
         star.center = round(x), round(y)
         assert star.collidelist(view._type.taken) < 0
     assert overlaps(view) == []
