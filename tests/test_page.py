@@ -352,6 +352,14 @@ def test_two_minutes_open_and_play_without_a_complaint(browser, long):
     assert browser.requests == [f"file://{long}"]
 
 
+@pytest.mark.parametrize("size", [(1280, 800), (400, 860)])
+def test_the_last_time_on_an_axis_is_whole(browser, long, size):
+    browser.open(long, size=size)
+    left, top, width, height = (round(x) for x in browser.box("#lambda2"))
+    plot = picture(browser)[top + 8 : top + height - 8, left : left + width]  # without the round corners
+    np.testing.assert_array_equal(plot[:, -3:], np.broadcast_to(plot[0, 8], plot[:, -3:].shape))
+
+
 @pytest.mark.slow
 def test_two_minutes_open_within_three_seconds(browser, long):
     """The best of three: a busy machine is not the page's fault."""

@@ -11,7 +11,7 @@ class Plot {
     this.holder = holder;
     const axis = { stroke: () => color("text"), grid: { stroke: () => color("grid"), width: 1 }, ticks: { show: false } };
     const options = {
-      ...this._size(), series: [{}, ...series], legend: { show: false }, padding: [10, 12, 0, 0],
+      ...this._size(), series: [{}, ...series], legend: { show: false }, padding: [10, 22, 0, 0],
       scales: { x: { time: false, range: [0, flight.end] }, y: scale },
       axes: [{ ...axis, size: 26, values: (_, ticks) => ticks.map((t) => `${t} s`) }, { ...axis, size: 46, splits: scale.splits }],
       cursor: { drag: { x: false, y: false, setScale: false }, y: false, points: { show: false } },
