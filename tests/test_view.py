@@ -16,7 +16,7 @@ import pytest
 import fovconn_env
 from fovconn_env.kernel.geometry import tilt
 from fovconn_env.maps import Map
-from fovconn_env.render import shapes3d
+from fovconn_env.render import shapes3d, strokes
 from fovconn_env.render.aim import Look
 from fovconn_env.render.alarm import HOLD, Alarm, notices, weak_links
 from fovconn_env.render.history import SPAN, History
@@ -520,3 +520,20 @@ def test_pixels_are_halved_and_unpacked():
     found = rgb_array(page)
     np.testing.assert_array_equal(found[:4], wanted.swapaxes(0, 1))
     assert (found[4] == [1, 2, 3]).all()  # below it the page stays as it was
+
+
+@pytest.mark.parametrize("size", [(320, 240), (640, 480), (1280, 720)])
+def test_heads_of_arrows_are_no_longer_than_their_robots(monkeypatch, size):
+    """Else they hide the links of a crowd."""
+    simulator, draw, heads = Simulator(scenario("ScaleUp-v0", level=5)), strokes.arrow_head, []
+
+    def kept(eye, seen, radius, *how):
+        head = draw(eye, seen, radius, *how)
+        heads.append(math.dist(head[0], np.mean(head[1:], axis=0)) / radius)
+        return head
+
+    monkeypatch.setattr(strokes, "arrow_head", kept)
+    simulator.reset(0)
+    View(simulator.scenario, size).draw(simulator)
+    assert len(heads) > 200
+    assert max(heads) < 2.0

@@ -21,6 +21,7 @@ from fovconn_env.scenarios import Scenario
 
 _HALF_WIDTH = 0.34  # m of a quadrotor in the picture, or more where it would be too small to see
 _STAR = 0.8  # radius of a way point's star, in least half-widths of a robot
+_ROOM = 4.25 * FINE  # half-width of a crowd's robots below which their links are thinner
 _STUB = 1.6  # m of a camera's view that is drawn strong
 _CIRCLE = shapes3d.rim((0.0, 0.0, 1.0), 0.0, 14)  # level, (14, 3)
 _SHADOW = np.concatenate([np.zeros((1, 3)), 0.8 * _CIRCLE])  # its middle first
@@ -205,7 +206,8 @@ class Painter:
         halves = clipped(lens, three[:, [[0, 1], [1, 2]]])
         lines, depth = project(lens, halves)
         behind = depth.mean(axis=-1) + (3.0 if self._crowd else 0.4)  # robots stand before their own links
-        widths = FINE * (0.5 if self._crowd else 1.0) * (0.8 + 2.0 * now.weights[first, second])
+        share = 0.5 * min(1.0, float(np.median(radii)) / _ROOM) if self._crowd else 1.0
+        widths = FINE * share * (0.8 + 2.0 * now.weights[first, second])
         jobs, spots, sizes = [], pixels.tolist(), radii.tolist()
         for k, (ends, far, width) in enumerate(zip(lines.tolist(), behind.tolist(), widths.tolist(), strict=True)):
             mutual, alarm = kinds[k] == sight.MUTUAL, (int(first[k]), int(second[k])) in weak
@@ -218,8 +220,10 @@ class Painter:
                     jobs.append((distance + 0.01, strokes.line, theme.page, a, b, width + 3 * FINE))
                 jobs.append((distance, strokes.line, color, a, b, width))
             if not mutual and depth[k].min() > NEAR:
-                head = strokes.arrow_head(spots[eyes[k]], spots[seen[k]], sizes[seen[k]], width + 2 * FINE * alarm)
-                jobs.append((far[1] - 0.3, strokes.fill_outlined, color, theme.page, head))
+                broad, least = width + 2 * FINE * alarm, 3.5 * FINE * min(1.0, 2.0 * share)
+                head = strokes.arrow_head(spots[eyes[k]], spots[seen[k]], sizes[seen[k]], broad, least)
+                look = (strokes.fill, color) if share < 0.5 else (strokes.fill_outlined, color, theme.page)
+                jobs.append((far[1] - 0.3, *look, head))
         return jobs
 
     def _robots(self, lens: Lens, at: np.ndarray, attitude: np.ndarray, half: np.ndarray, now: Instant) -> list[tuple]:
