@@ -70,3 +70,22 @@ def test_the_examples_write_a_film(block, tmp_path, monkeypatch):
     names["env"].close()
     film, _ = frames(tmp_path / "films" / NAME)
     assert film.shape == (1, 480, 640, 3)
+
+
+def test_pettingzoo_record_video_of_an_aec_environment(tmp_path):
+    """A picture after the reset and after each robot's turn; the world moves with the last one's."""
+    env = fovconn_env.env("LeaderFollow-v0", render_mode="rgb_array", **SHORT)
+    env = pytest.importorskip("pettingzoo.utils.wrappers").RecordVideo(env, str(tmp_path / "films"))
+    env.reset(seed=7)
+    pictures, turns = [env.render()], 0
+    for _ in env.agent_iter():
+        *_, terminated, truncated, _ = env.last()
+        env.step(None if terminated or truncated else AHEAD)
+        turns += not (terminated or truncated)
+        pictures.append(env.render())
+    env.close()
+    assert turns == 6 * SHORT["max_cycles"]
+    film, _ = frames(tmp_path / "films" / NAME)
+    assert turns < len(film) <= len(pictures)  # the turns in which robots leave may be there, too
+    off = [np.abs(film[k] - pictures[k]).mean() for k in (0, 6, turns // 2, -1)]
+    assert max(off) < 5.0  # of 255
