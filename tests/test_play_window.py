@@ -228,6 +228,22 @@ def test_all_keys_do_something_and_nothing_breaks(app):
     assert not app.cockpit.asked_to_quit
 
 
+def test_links_of_the_robot_that_is_flown(app):
+    def linked():
+        app.turn(STEP)
+        return app.cockpit.look.linked
+
+    assert linked() is None
+    tap(app, pygame.K_k)
+    assert linked() == app.cockpit.session.leader
+    tap(app, pygame.K_2)
+    assert linked() == 1
+    tap(app, pygame.K_0)
+    assert linked() == app.cockpit.session.leader
+    tap(app, pygame.K_k)
+    assert linked() is None
+
+
 def test_pause_single_step_slow_motion_and_another_seed(app):
     session = app.cockpit.session
     tap(app, pygame.K_SPACE)

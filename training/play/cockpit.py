@@ -37,6 +37,7 @@ class Cockpit:
         self.keyboard, self.pad = Keyboard(), REST
         self.pace = Pace(session.scenario.step_time)
         self.paused = self.ended = self.asked_to_quit = False
+        self.own_links = False  # only those of the robot that is flown, or of the leader, are shown
         self.helps = 0  # the page of the help that is shown, 0 for none
         self.reason = ""  # of a pause that nobody asked for
         self.frame = "view"  # forward is away from the person, or "robot": where it looks
@@ -125,6 +126,10 @@ class Cockpit:
     def do_trails(self) -> str:
         return self._switch("trails")
 
+    def do_links(self) -> str:
+        self.own_links = not self.own_links
+        return "links of your robot" if self.own_links else "all links"
+
     def do_above(self) -> str:
         return self._switch("above")
 
@@ -179,6 +184,8 @@ class Cockpit:
         if size is not None and size != view.size:
             view.set_page(size)
         view.overlay, view.pilot = self._lines(), session.flown
+        mine = session.leader if session.flown is None else session.flown
+        self.look = dataclasses.replace(self.look, linked=mine if self.own_links else None)
         panel = self.helps, self.paused, self.reason, self.ended and not self._seen
         shown = session.simulator, session.seed, session.steps, session.leader, str(view.look), view.overlay
         late = 0.0 if self.stands else 1.0 - min(self.pace.begun, 1.0)
