@@ -1,6 +1,7 @@
 """The recorders of Gymnasium and PettingZoo write films of our pictures (both need moviepy)."""
 
 import re
+import warnings
 
 import gymnasium
 import numpy as np
@@ -9,7 +10,9 @@ import pytest
 import fovconn_env
 from tests.integrations import EXAMPLES, SHORT
 
-pytest.importorskip("moviepy", reason="moviepy is not installed: pip install moviepy")
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")  # moviepy 1 has escapes that Python warns of when it compiles them
+    pytest.importorskip("moviepy.video.io.ImageSequenceClip", reason="moviepy is not installed: pip install moviepy")
 av = pytest.importorskip("av", reason='av is not installed: pip install "fovconn-env[export]"')
 pytest.importorskip("pygame", reason='pygame is not installed: pip install "fovconn-env[render]"')
 NAME = "rl-video-episode-0.mp4"
