@@ -22,7 +22,7 @@ from fovconn_env.render.alarm import HOLD, Alarm, notices, weak_links
 from fovconn_env.render.history import SPAN, History
 from fovconn_env.render.instant import instant_of
 from fovconn_env.render.palette import DARK, LIGHT, THEMES, colors_of
-from fovconn_env.render.pixels import MASKS, halve, rgb_array
+from fovconn_env.render.pixels import MASKS, halve, rgb_array, shade
 from fovconn_env.render.places import divide
 from fovconn_env.render.projection import NEAR, clipped, fitting_distance, from_above, in_front, look_at, project
 from fovconn_env.render.strip import FINE
@@ -537,3 +537,30 @@ def test_heads_of_arrows_are_no_longer_than_their_robots(monkeypatch, size):
     View(simulator.scenario, size).draw(simulator)
     assert len(heads) > 200
     assert max(heads) < 2.0
+
+
+@pytest.mark.nojit
+def test_polygons_are_shaded_inside_and_nowhere_else():
+    """Against a point-in-polygon test of every pixel's middle; also where they hang over an edge, and not convex."""
+    rng, drawn = np.random.default_rng(3), 0
+    for _ in range(20):
+        corners = rng.uniform(-8.0, 28.0, (5, 2))
+        surface = pygame.Surface((20, 16), 0, 32, MASKS)
+        surface.fill("#204060")
+        shade(surface, corners[None], np.array([0xFF8000], np.uint32), 64)
+        shown = pygame.surfarray.array3d(surface).astype(int)
+        inside = np.array([[_within(corners, x + 0.5, y + 0.5) for y in range(16)] for x in range(20)])
+        mixed = (np.array([0x20, 0x40, 0x60]) * 192 + np.array([0xFF, 0x80, 0x00]) * 64) // 256
+        np.testing.assert_array_equal(shown[inside], np.broadcast_to(mixed, (inside.sum(), 3)))
+        np.testing.assert_array_equal(shown[~inside], np.broadcast_to([0x20, 0x40, 0x60], ((~inside).sum(), 3)))
+        drawn += inside.sum()
+    assert 1000 < drawn < 6000
+
+
+def _within(corners, x, y):
+    """Whether a ray to the left crosses an odd number of edges."""
+    count = 0
+    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        if (y0 <= y) != (y1 <= y):
+            count += x0 + (y - y0) / (y1 - y0) * (x1 - x0) < x
+    return count % 2 == 1

@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pygame
-from pygame import gfxdraw
 
 from fovconn_env.render import shapes3d, sight, strokes
 from fovconn_env.render.instant import Instant
 from fovconn_env.render.palette import Theme, colors_of, leader_of, mixed
+from fovconn_env.render.pixels import shade
 from fovconn_env.render.projection import NEAR, Lens, clipped, in_front, project, scale_at
 from fovconn_env.render.stage import Stage
 from fovconn_env.render.strip import FINE
@@ -49,6 +49,7 @@ class Painter:
         self._rim = shapes3d.rim(camera.unit_axis, camera.a_min)
         self._reach = camera.d_max
         self.colors = colors_of(scenario, theme, leader)
+        self._inks = np.array([int(color[1:], 16) for color in self.colors], np.uint32)
         self._tints = [mixed(color, theme.ground, 0.45) for color in self.colors]
         self._hints = [mixed(color, theme.ground, 0.25) for color in self.colors]
         self._faces = [
@@ -151,8 +152,8 @@ class Painter:
         n, alpha = len(at), 26 if self._crowd else 58
         stub = shapes3d.placed(self._fan, attitude, at, np.full(n, _STUB))
         wedges, depth = project(lens, stub)
-        for i in np.flatnonzero(shown & (depth.min(axis=1) > NEAR)):
-            gfxdraw.filled_polygon(surface, wedges[i].tolist(), (*pygame.Color(self.colors[i])[:3], alpha))
+        chosen = shown & (depth.min(axis=1) > NEAR)
+        shade(surface, wedges[chosen], self._inks[chosen], alpha)
         if self._crowd:
             return
         edge, reach = (self._fan, self._reach) if lens.parallel else (self._rim, _STUB)

@@ -20,6 +20,9 @@ def line(surface: pygame.Surface, color: str, a: list[float], b: list[float], wi
 
 def dashes(surface: pygame.Surface, color: str, a: list[float], b: list[float]) -> None:
     """A line of dashes."""
+    width, height = surface.get_size()
+    if max(a[0], b[0]) < 0 or max(a[1], b[1]) < 0 or min(a[0], b[0]) > width or min(a[1], b[1]) > height:
+        return  # beside the picture
     n = int(min(math.hypot(b[0] - a[0], b[1] - a[1]) / (8 * FINE), 24)) // 2 * 2 + 1
     dx, dy = (b[0] - a[0]) / n, (b[1] - a[1]) / n
     for k in range(0, n, 2):

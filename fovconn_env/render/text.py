@@ -79,7 +79,7 @@ class Typesetter:
         self,
         surface: pygame.Surface,
         words: pygame.Surface,
-        at: tuple[float, float],
+        at: Sequence[float],
         gap: float,
         marks: Sequence[pygame.Rect] = (),
     ) -> bool:

@@ -177,11 +177,10 @@ class View:
         """
         theme, leader, crowd = self._colors, self._leader, self._scenario.n_agents > 12
         self._page.set_clip(place)
-        stars = [_around(at / FINE + place.topleft, 0.9 * marks.star / FINE) for at in marks.waypoints]
-        bodies = [
-            _around(at / FINE + place.topleft, 0.7 * radius / FINE)
-            for at, radius in zip(marks.robots, marks.radii, strict=True)
-        ]
+        robots, waypoints = ((at / FINE + place.topleft).tolist() for at in (marks.robots, marks.waypoints))
+        radii, star = (marks.radii / FINE).tolist(), marks.star / FINE
+        stars = [_around(at, 0.9 * star) for at in waypoints]
+        bodies = [_around(at, 0.7 * radius) for at, radius in zip(robots, radii, strict=True)]
         scale = self._type.words(f"grid {marks.grid:g} m", theme.faint, halo=theme.ground)
         corner = pygame.Rect(
             (place.right - scale.get_width() - 6, place.bottom - scale.get_height() - 3), scale.get_size()
@@ -189,7 +188,7 @@ class View:
         if corner.collidelist([*stars, *bodies]) < 0:
             self._type.put(self._page, scale, corner.topleft, ground=theme.ground)
         urgent = {i for pair in weak for i in pair}
-        order = sorted(range(len(marks.robots)), key=lambda i: (i != leader, i not in urgent, i))
+        order = sorted(range(len(robots)), key=lambda i: (i != leader, i not in urgent, i))
         for i in order[:1] if small and crowd else order:
             color = (
                 theme.text if crowd else mixed(self._painter.colors[i], theme.text, 0.75)
@@ -198,23 +197,21 @@ class View:
             roles = ", ".join(word for word, applies in (("leader", i == leader), ("you", i == self.pilot)) if applies)
             text = str(i + 1) if small else f"{i + 1} {roles}".rstrip()
             words = self._type.words(text, color, halo=theme.ground, bold=True)
-            at, others = marks.robots[i] / FINE + place.topleft, [*bodies[:i], *bodies[i + 1 :], *stars]
-            gap = 1.15 * marks.radii[i] / FINE
+            at, others, gap = robots[i], [*bodies[:i], *bodies[i + 1 :], *stars], 1.15 * radii[i]
             if not self._type.label(self._page, words, at, gap, others) and (i == leader or not crowd):
                 self._type.label(self._page, words, at, gap)
-        for k, at in enumerate(marks.waypoints):
-            if not place.collidepoint(at / FINE + place.topleft):
+        for k, at in enumerate(waypoints):
+            if not place.collidepoint(at):
                 continue
             color = theme.operator if k >= now.waypoint else theme.faint
             words = self._type.words(f"P{k + 1}", color, halo=theme.ground, bold=True)
             others = [*bodies, *stars[:k], *stars[k + 1 :]]
-            place_of_star, gap = at / FINE + place.topleft, marks.star / FINE + 1
-            if not self._type.label(self._page, words, place_of_star, gap, others) and not crowd:
-                self._type.label(self._page, words, place_of_star, gap, stars)
+            if not self._type.label(self._page, words, at, star + 1, others) and not crowd:
+                self._type.label(self._page, words, at, star + 1, stars)
         self._page.set_clip(None)
 
 
-def _around(at: np.ndarray, radius: float) -> pygame.Rect:
-    """The square about a place (2,) of the page, px."""
-    left, top = np.clip(np.round(at - radius), -1e6, 1e6).astype(int).tolist()
+def _around(at: list[float], radius: float) -> pygame.Rect:
+    """The square about a place x, y of the page, px."""
+    left, top = (round(min(max(side - radius, -1e6), 1e6)) for side in at)
     return pygame.Rect(left, top, round(2 * radius), round(2 * radius))
