@@ -33,7 +33,7 @@ test-fast: $(VENV)/installed-test  ## the suite without its long statistics
 	$(PYTEST) -m "not slow" $(ARGS)
 
 test-integrations: $(LIBRARIES)/current/installed $(LIBRARIES)/older/installed  ## docs/examples, each with its library (torch, 3 GB)
-	$(LIBRARIES)/current/bin/python -m pytest tests/integrations tests/test_sb3.py tests/test_training.py $(ARGS)
+	$(LIBRARIES)/current/bin/python -m pytest tests/integrations tests/test_sb3.py tests/test_training.py tests/test_rerun.py $(ARGS)
 	$(LIBRARIES)/older/bin/python -m pytest tests/integrations $(ARGS)
 
 results: $(VENV)/installed-demo  ## fly all that docs/results.md and the README's table show (about 40 min), and write them

@@ -36,7 +36,7 @@ def draw(chosen: Scenario, seed: int) -> Figure:
     places = np.vstack([poses[:, :2], course])
     low, high = places.min(0) - MARGIN, places.max(0) + MARGIN
     width, height = high - low
-    figure = style.page(WIDTH, WIDTH * height / width, layout=None)
+    figure = style.sheet(WIDTH, WIDTH * height / width, layout=None)
     figure.set_dpi(100)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xticks=[], yticks=[])

@@ -28,6 +28,7 @@ class Flight(NamedTuple):
     yaw: np.ndarray  # (T, N, N) true yaw_j - yaw_i, wrapped
     yaw_hat: np.ndarray  # (T, N, N) i's estimate of it
     yaw_valid: np.ndarray  # (T, N, N) bool
+    alive: np.ndarray  # (T, N) bool, False where a fault has the whole robot down
     waypoints: np.ndarray  # (W, 3)
     pieces: np.ndarray  # (P,) obstacles, kernel.types.PIECE, only the used ones
     vertices: np.ndarray  # (V, 2)
@@ -128,6 +129,7 @@ def _frame(simulator: Simulator) -> Iterator[np.ndarray]:
     yield true_yaw(body["yaw"])
     yield np.arctan2(track["sin_used"], track["cos_used"])
     yield track["valid"] & track["present"]
+    yield body["alive"].copy() if simulator.scenario.faults else np.ones(len(body), bool)
 
 
 def true_yaw(yaw: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fovconn_env import scenario
+from fovconn_env import PRESETS, scenario
 from training.evaluation import campaign, evaluate
 from training.evaluation.campaign import Cell, Shelf, fingerprint, fly_cells, parse_seeds, suite
 
@@ -154,6 +154,8 @@ def test_suites():
     policies, scenarios, seeds = suite("quick")
     assert "expert" in policies
     assert "LeaderFollow-v0" in scenarios
+    assert len(set(scenarios)) == 4
+    assert suite("full")[1] == list(PRESETS)
     assert seeds == suite("full")[2][:32]
     assert suite("full")[2] == list(range(320))
     with pytest.raises(ValueError, match="suite must be one of quick, full, got 'fast'"):

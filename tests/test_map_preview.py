@@ -10,7 +10,7 @@ from PIL import Image
 
 from fovconn_env import Map, scenario
 from fovconn_env.render.plan import draw_plan
-from tests.test_render import GROUND
+from tests.made_flight import GROUND
 
 TINY = ("--set", "n_agents=3", "--set", "max_cycles=20", "--set", "warmup=0.2")
 

@@ -427,6 +427,23 @@ def test_a_flight_from_a_recording_is_the_flight():
     assert np.abs(flown.stick).max() > 0.5
 
 
+def test_a_flight_knows_who_is_down():
+    faults = Fault(robot=1, at=0.26, lasts=0.3), Fault(kind="camera", robot=2, at=0.0)
+    recorder = Recorder(Simulator(small(n_agents=3, faults=faults, patience=math.inf, course=Course(settle=0.0))))
+    recorder.reset(3)
+    told = [recorder.simulator.state.body[0]["alive"].copy()]
+    for _ in range(20):
+        recorder.step(np.zeros((1, 3, 4)))
+        told.append(recorder.simulator.state.body[0]["alive"].copy())
+    flight = from_recording(recorder.recording())
+    np.testing.assert_array_equal(flight.alive, told)
+    assert [flight.alive[:, i].sum() for i in range(3)] == [21, 15, 21]  # a blind robot is not down
+    settled = Recorder(Simulator(small(n_agents=3)))
+    settled.reset(3)
+    settled.step(np.zeros((1, 3, 4)))
+    assert from_recording(settled.recording()).alive.all()  # without faults
+
+
 def test_the_stick_of_a_flight_is_turned_by_its_leaders_heading():
     recorder = record("leader")
     flight, simulators = from_recording(recorder.recording()), play_back(recorder.recording())

@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fovconn_env.flight import Flight
-from fovconn_env.kernel.types import PIECE
 from fovconn_env.maps import Map
 from fovconn_env.render import palette, sight, style
 from fovconn_env.render.animation import Movie, animate, frame_indices, snapshot
@@ -23,56 +21,7 @@ from fovconn_env.render.table import markdown, parameters
 from fovconn_env.render.timelines import draw_connectivity, draw_relative_yaw
 from fovconn_env.render.trajectories import draw_top_view, draw_trajectories
 from fovconn_env.scenarios import scenario
-
-STEPS = 80
-GROUND = (
-    Map()
-    .circle((2.0, 6.0), 0.5)
-    .wall((5.0, 4.0), (8.0, 4.0), 0.4)
-    .polygon([(-2, 5), (0, 5), (0, 7), (-1, 5.5), (-2, 7)])
-)
-
-
-def make_flight(n=3, obstacles=False) -> Flight:
-    """A leader that flies along x, followers that stand; the operator pushes in the steps 21 to 60.
-
-    Robot 0 and 1 go through the classes NOBODY, OTHERS, MUTUAL, OWN, twenty steps each; 0 and the last see each other.
-    """
-    settings = scenario("LeaderFollow-v0", n_agents=n)
-    time = np.arange(STEPS + 1) * settings.step_time
-    poses = np.zeros((len(time), n, 4))
-    poses[:, :, 1] = 3.0 * np.arange(n)
-    poses[:, :, 3] = 0.3 * np.arange(n)
-    poses[:, 0, 0] = time
-    stick = np.zeros((len(time), 3))
-    stick[21:61, 0] = 1.0
-    watch = np.zeros((len(time), n, n))
-    watch[:, 0, 2:] = watch[:, 2:, 0] = 0.4
-    watch[21:61, 1, 0] = watch[41:, 0, 1] = 0.6
-    weights = np.maximum(watch, watch.swapaxes(1, 2))
-    lambda2 = 0.5 + 0.4 * np.sin(time)
-    yaw = np.broadcast_to(poses[:, None, :, 3] - poses[:, :, None, 3], watch.shape)
-    pieces, vertices = GROUND.flatten() if obstacles else (np.zeros(0, PIECE), np.zeros((0, 2)))
-    return Flight(
-        scenario=settings,
-        seed=5,
-        time=time,
-        poses=poses,
-        tilt=np.zeros((len(time), n, 2)),
-        stick=stick,
-        lambda2=lambda2,
-        lambda2_hat=lambda2[:, None] + 0.01 * np.arange(n),
-        weights=weights,
-        watch=watch,
-        yaw=yaw,
-        yaw_hat=yaw + 0.1,
-        yaw_valid=watch > 0,
-        waypoints=np.array([[2.0, 0.0, 0.0], [6.0, 3.0, 1.0]]),
-        pieces=pieces,
-        vertices=vertices,
-        outcome="success",
-        leader=np.zeros(len(time), int),
-    )
+from tests.made_flight import STEPS, make_flight
 
 
 @pytest.fixture(scope="module")
@@ -145,7 +94,7 @@ def test_all_figures_are_written(tmp_path, obstacles):
 
 def test_without_a_potential_there_is_no_figure_2(tmp_path, monkeypatch):
     for name in ("draw_activation", "draw_trajectories", "draw_top_view", "draw_connectivity", "draw_relative_yaw"):
-        monkeypatch.setattr(f"fovconn_env.render.figures.{name}", lambda *_: style.page(1, 1))
+        monkeypatch.setattr(f"fovconn_env.render.figures.{name}", lambda *_: style.sheet(1, 1))
     assert [path.stem[:4] for path in draw_all(make_flight(), tmp_path)] == [
         "fig3",
         "fig4",
@@ -327,7 +276,7 @@ def test_links_look_like_the_sight_they_stand_for(flight):
 
 @pytest.mark.parametrize("k, eye, seen", [(30, 1, 0), (70, 0, 1)])
 def test_arrow_of_a_one_way_link_stands_before_the_robot_that_is_seen(flight, k, eye, seen):
-    scene = Scene(style.page(4.0, 4.0).add_subplot(), flight.scenario, 30.0)
+    scene = Scene(style.sheet(4.0, 4.0).add_subplot(), flight.scenario, 30.0)
     scene.show(flight.poses[k], flight.tilt[k], flight.stick[k], flight.weights[k], flight.watch[k])
     arrows = next(artist for artist in scene.artists if artist.get_zorder() == ARROWS)
     (arrow,) = (path.vertices for path in arrows.get_paths())

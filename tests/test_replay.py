@@ -1,11 +1,15 @@
 """Recordings on the command line: `demo --record`, `eval --record`, `replay`, `figures FILE`; what `--out` writes."""
 
+import base64
 import csv
 import dataclasses
 import importlib.util
+import json
 import os
+import re
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -156,15 +160,66 @@ def test_parquet_is_the_same_table(fovconn, file, recording):
         np.testing.assert_array_equal(read[name].to_numpy(), values)
 
 
-@pytest.mark.parametrize("suffix", [".mp4", ".parquet", ".gif"])
+def test_html_is_a_page_of_the_flight(fovconn, file, recording):
+    shown = fovconn("replay", file, "--out", "flight.html")
+    assert shown.status == 0, shown.err
+    assert "wrote flight.html" in shown.out
+    text = Path("flight.html").read_text("utf-8")
+    assert "<title>LeaderFollow-v0, seed 3</title>" in text
+    packed = json.loads(re.search(r'id="flight">(.*?)</script>', text, re.DOTALL)[1])["arrays"]["poses"]
+    poses = np.frombuffer(zlib.decompress(base64.b64decode(packed["data"])), packed["type"]).reshape(-1, 3, 4)
+    np.testing.assert_allclose(poses, from_recording(recording).poses[::2], atol=1e-5)  # 10 a second
+
+
+def test_rrd_is_a_rerun_recording_of_the_flight(fovconn, file, recording):
+    pytest.importorskip("rerun")
+    from rerun.chunk import RrdReader
+
+    shown = fovconn("replay", file, "--out", "flight.rrd")
+    assert shown.status == 0, shown.err
+    assert "wrote flight.rrd" in shown.out
+    batches = [
+        chunk.to_record_batch() for chunk in RrdReader(Path("flight.rrd")).stream() if "uav_1" in chunk.entity_path
+    ]
+    name = "Transform3D:translation"
+    places = [place for batch in batches if name in batch.schema.names for place in batch.column(name).to_pylist()]
+    poses = from_recording(recording).poses
+    np.testing.assert_allclose(np.array(places).reshape(-1, 3), poses[:, 1, :3], atol=1e-5)
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".parquet", ".gif", ".rrd"])
 def test_a_missing_package_is_named_with_its_extra(fovconn, file, monkeypatch, suffix):
     found = importlib.util.find_spec
-    hidden = {"av", "pyarrow", "matplotlib"}
+    hidden = {"av", "pyarrow", "matplotlib", "rerun"}
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name in hidden else found(name, *rest))
     shown = fovconn("replay", file, "--out", f"flight{suffix}")
     assert shown.status == 2
-    assert 'pip install "fovconn-env[' in shown.err
+    assert f'pip install "fovconn-env[{export.WRITERS[suffix][2]}]"' in shown.err
     assert not list(Path().glob("flight.[!n]*"))
+
+
+@pytest.mark.parametrize("words", [("figures", "flight.npz"), ("figures", "--ablations"), ("demo",)], ids=" ".join)
+def test_without_matplotlib_pictures_name_the_extra(file, words):
+    """In a process of its own, where matplotlib cannot be imported."""
+    program = (
+        "import importlib.util, sys\n"
+        "class Hidden:\n"
+        "    def find_spec(self, name, *rest):\n"
+        "        if name.partition('.')[0] == 'matplotlib':\n"
+        "            raise ModuleNotFoundError(f'No module named {name!r}', name=name)\n"
+        "sys.meta_path.insert(0, Hidden())\n"
+        "found = importlib.util.find_spec\n"
+        "importlib.util.find_spec = lambda name, *rest: None if name == 'matplotlib' else found(name, *rest)\n"
+        "from training.cli import main\n"
+        "main()\n"
+    )
+    variables = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200"}
+    task = subprocess.run(
+        [sys.executable, "-c", program, *words], cwd=file.parent, env=variables, capture_output=True, text=True
+    )
+    assert task.returncode == 2
+    assert task.stderr.splitlines() == [f'fovconn: {words[0]} needs matplotlib: pip install "fovconn-env[render]"']
+    assert [path.name for path in file.parent.iterdir()] == ["flight.npz"]
 
 
 def test_a_writer_that_fails_leaves_nothing(file, recording, tmp_path, monkeypatch):
@@ -210,8 +265,16 @@ BAD = {
     "version": (other_version, (), "it is of fovconn_env 0.0.9 (here"),
     "bits": (other_action, (), "comes out otherwise between steps 0 and 40, in the same versions"),
     "no step": (no_step, (), "flight.npz holds no step"),
-    "suffix": (None, ("--out", "a.avi"), "--out must end in one of .gif, .mp4, .csv, .parquet, got 'a.avi'"),
-    "no suffix": (None, ("--out", "film"), "--out must end in one of .gif, .mp4, .csv, .parquet, got 'film'"),
+    "suffix": (
+        None,
+        ("--out", "a.avi"),
+        "--out must end in one of .gif, .mp4, .csv, .parquet, .html, .rrd, got 'a.avi'",
+    ),
+    "no suffix": (
+        None,
+        ("--out", "film"),
+        "--out must end in one of .gif, .mp4, .csv, .parquet, .html, .rrd, got 'film'",
+    ),
     "folder": (None, ("--out", "no/a.csv"), "--out must name a file in an existing folder, got 'no/a.csv'"),
 }
 

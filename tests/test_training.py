@@ -16,7 +16,8 @@ import torch
 from gymnasium import spaces
 from stable_baselines3 import PPO
 
-from baselines import find_policy, load_policy
+from baselines import Cohesive, find_policy, load_policy
+from baselines.cards import BASES
 from baselines.inputs import OWN, ROW
 from baselines.learned import from_file
 from baselines.networks import FlatEncoder, SetEncoder
@@ -96,15 +97,16 @@ def test_max_neighbors_has_to_fit():
 
 
 @pytest.mark.parametrize("kind", ["set", "mlp"])
-@pytest.mark.parametrize("base", [None, "augmented"])
+@pytest.mark.parametrize("base", [None, *BASES])
 def test_the_kernel_flies_what_torch_learned(kind, base, seen, tmp_path):
     algorithm = Residual if base else Team
-    settings = (ResidualSettings if base else PPOSettings)(n_worlds=1, n_steps=2, batch=4)
+    sizes = {"n_worlds": 1, "n_steps": 2, "batch": 4}
+    settings = ResidualSettings(base=base, **sizes) if base else PPOSettings(**sizes)
     trained = algorithm([scenario(n_agents=5)], 0, settings, dataclasses.replace(SMALL, kind=kind))
     with torch.no_grad():
         for parameter in trained.policy.action_net.parameters():
             parameter.normal_(0.0, 0.3)
-    learning.export(trained, tmp_path, {}, ())
+    learning.write_policy(trained, tmp_path, {}, ())
     policy = from_file(tmp_path / f"{trained.name}.safetensors")(scenario(n_agents=5))
     rows = Rows([scenario(n_agents=5)], 1, base=base)
     inputs = rows._extended(seen, rows.slices[0])
@@ -289,15 +291,15 @@ def test_the_law_flies_at_first_then_the_network():
 
 def test_residual_begins_as_its_law(tmp_path):
     trained = residual()
-    learning.export(trained, tmp_path, {}, ())
+    learning.write_policy(trained, tmp_path, {}, ())
     flat = Simulator(scenario(**TINY), 2).reset(0).reshape(-1, 205).copy()
     policy = from_file(tmp_path / "residual.safetensors")(scenario(**TINY))
-    np.testing.assert_array_equal(policy.decide(flat), load_policy("augmented", scenario(**TINY)).decide(flat))
+    np.testing.assert_array_equal(policy.decide(flat), Cohesive(scenario(**TINY)).decide(flat))
 
 
 def test_a_warm_start_stays_near_its_start(tmp_path):
     """The divergence from the start is less with the anchor; the critic learns alone at first."""
-    learning.export(dagger(), tmp_path, {}, ())
+    learning.write_policy(dagger(), tmp_path, {}, ())
     file, away = tmp_path / "dagger.safetensors", {}
     for pull in (0.0, 100.0):
         settings = PPOSettings(n_worlds=2, n_steps=32, batch=64, n_epochs=4, anchor=pull, critic_first=0.2)
@@ -460,10 +462,10 @@ def test_the_quickstart_runs(tmp_path, monkeypatch):
         monkeypatch.setitem(PRESETS, name, dataclasses.replace(preset, max_cycles=20, warmup=0.1))
     cells = json.loads((ROOT / "docs" / "quickstart.ipynb").read_text("utf-8"))["cells"]
     sources = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
-    assert sum("STEPS = 1_000_000" in source for source in sources) == 1
+    assert sum("STEPS = 4_000_000" in source for source in sources) == 1
     namespace = {}
     for k, source in enumerate(sources):
-        short = source.replace("STEPS = 1_000_000", "STEPS = 80_000").replace("range(400)", "range(15)")
+        short = source.replace("STEPS = 4_000_000", "STEPS = 80_000").replace("range(400)", "range(15)")
         exec(compile(short, f"cell {k}", "exec"), namespace)
     assert namespace["best"]["steps"] >= 70_000
     assert namespace["model"].num_timesteps > 0

@@ -16,14 +16,17 @@ import pytest
 import fovconn_env
 from fovconn_env.kernel.geometry import tilt
 from fovconn_env.maps import Map
-from fovconn_env.render import shapes3d
+from fovconn_env.render import shapes3d, strokes
 from fovconn_env.render.aim import Look
 from fovconn_env.render.alarm import HOLD, Alarm, notices, weak_links
 from fovconn_env.render.history import SPAN, History
 from fovconn_env.render.instant import instant_of
 from fovconn_env.render.palette import DARK, LIGHT, THEMES, colors_of
-from fovconn_env.render.pixels import MASKS, halve, rgb_array
+from fovconn_env.render.pixels import MASKS, halve, rgb_array, shade
+from fovconn_env.render.places import divide
 from fovconn_env.render.projection import NEAR, clipped, fitting_distance, from_above, in_front, look_at, project
+from fovconn_env.render.strip import FINE
+from fovconn_env.render.text import Typesetter
 from fovconn_env.render.view import View
 from fovconn_env.scenarios import scenario
 from fovconn_env.settings import Fault
@@ -255,6 +258,75 @@ def test_the_arrow_points_at_the_robot_that_is_seen():
     assert columns[x[len(x) // 2] :].max() > 2 * columns[x[: len(x) // 2]].max()
 
 
+def test_links_of_one_robot_alone():
+    simulator = started()
+    weights = simulator.state.pair["weight"][0]
+    outside = [i for i in range(6) if not weights[i].any()]
+    view = View(simulator.scenario, look=Look(trails=False, cones=False))
+    image = world_of(view, pixels(view.draw(simulator)))
+    whole = count(image, LIGHT.mutual) + count(image, LIGHT.one_way)
+    assert not outside
+    shares = []
+    for i in range(6):
+        view.look = Look(trails=False, cones=False, linked=i)
+        image = world_of(view, pixels(view.draw(simulator)))
+        shares.append((count(image, LIGHT.mutual) + count(image, LIGHT.one_way)) / whole)
+    assert max(shares) < 0.95
+    assert sum(shares) > 1.0, "each link is one of two robots"
+
+
+@pytest.mark.parametrize("size", [(640, 480), (1280, 720), (1920, 1080)])
+def test_words_keep_off_stars(size):
+    """Numbers of way points stand beside their stars, and what is under the title cannot be seen."""
+    simulator = started("LeaderFollow-v0")
+    world = simulator.world.waypoint[0]
+    world[:3] = simulator.poses()[0, [0, 1, 2], :3] + [0.0, 0.0, 1.0]
+    view = View(simulator.scenario, size)
+    marks, paint = [], view._paint
+    view._paint = lambda place, *rest: marks.append((place, found := paint(place, *rest))) or found
+    view.draw(simulator)
+    stars = [
+        (at / FINE + place.topleft, found.star / FINE)
+        for place, found in marks
+        for at in found.waypoints
+        if place.collidepoint(at / FINE + place.topleft)
+    ]
+    assert len(stars) > 3
+    for (x, y), radius in stars:
+        star = pygame.Rect(0, 0, 1.7 * radius, 1.7 * radius)
+        star.center = round(x), round(y)
+        assert star.collidelist(view._type.taken) < 0
+    assert overlaps(view) == []
+
+
+def test_warnings_leave_room_for_the_team():
+    faults = tuple(Fault(kind=kind, robot=i, at=0.0) for i, kind in enumerate(("camera", "radio", "robot"), start=1))
+    simulator = started("Blackout-v0", patience=1e3, faults=faults)
+    for _ in range(2):
+        simulator.step(np.zeros((1, 6, 4)))
+    for size, least in (((320, 240), 1), ((1280, 720), 3)):
+        view = View(simulator.scenario, size)
+        view.draw(simulator)
+        world = divide(size, view._type.line, above=True).world
+        page = pixels(view._page)[: world.height, : world.width]
+        rows = np.flatnonzero(
+            (np.abs(page - [int(LIGHT.warning[k : k + 2], 16) for k in (1, 3, 5)]) < 3).all(2)[:, :14].any(1)
+        )
+        assert rows.max() < 0.36 * world.height
+        assert len(rows) >= least * view._type.line
+        assert overlaps(view) == []
+
+
+def test_long_words_are_broken():
+    type_ = Typesetter(12)
+    assert type_.broken("one two", 1000) == ["one two"]
+    lines = type_.broken("pause: Space goes on, a dot flies one step", 150)
+    assert " ".join(lines) == "pause: Space goes on, a dot flies one step"
+    assert len(lines) > 1
+    assert all(type_.width(line) <= 150 for line in lines)
+    assert type_.broken("you fly robot 1   0.52 m/s", type_.width("you fly robot 1   0.5")) == ["you fly robot 1"]
+
+
 def test_switches_of_the_look():
     simulator = started()
     view = View(simulator.scenario)
@@ -448,3 +520,47 @@ def test_pixels_are_halved_and_unpacked():
     found = rgb_array(page)
     np.testing.assert_array_equal(found[:4], wanted.swapaxes(0, 1))
     assert (found[4] == [1, 2, 3]).all()  # below it the page stays as it was
+
+
+@pytest.mark.parametrize("size", [(320, 240), (640, 480), (1280, 720)])
+def test_heads_of_arrows_are_no_longer_than_their_robots(monkeypatch, size):
+    """Else they hide the links of a crowd."""
+    simulator, draw, heads = Simulator(scenario("ScaleUp-v0", level=5)), strokes.arrow_head, []
+
+    def kept(eye, seen, radius, *how):
+        head = draw(eye, seen, radius, *how)
+        heads.append(math.dist(head[0], np.mean(head[1:], axis=0)) / radius)
+        return head
+
+    monkeypatch.setattr(strokes, "arrow_head", kept)
+    simulator.reset(0)
+    View(simulator.scenario, size).draw(simulator)
+    assert len(heads) > 200
+    assert max(heads) < 2.0
+
+
+@pytest.mark.nojit
+def test_polygons_are_shaded_inside_and_nowhere_else():
+    """Against a point-in-polygon test of every pixel's middle; also where they hang over an edge, and not convex."""
+    rng, drawn = np.random.default_rng(3), 0
+    for _ in range(20):
+        corners = rng.uniform(-8.0, 28.0, (5, 2))
+        surface = pygame.Surface((20, 16), 0, 32, MASKS)
+        surface.fill("#204060")
+        shade(surface, corners[None], np.array([0xFF8000], np.uint32), 64)
+        shown = pygame.surfarray.array3d(surface).astype(int)
+        inside = np.array([[_within(corners, x + 0.5, y + 0.5) for y in range(16)] for x in range(20)])
+        mixed = (np.array([0x20, 0x40, 0x60]) * 192 + np.array([0xFF, 0x80, 0x00]) * 64) // 256
+        np.testing.assert_array_equal(shown[inside], np.broadcast_to(mixed, (inside.sum(), 3)))
+        np.testing.assert_array_equal(shown[~inside], np.broadcast_to([0x20, 0x40, 0x60], ((~inside).sum(), 3)))
+        drawn += inside.sum()
+    assert 1000 < drawn < 6000
+
+
+def _within(corners, x, y):
+    """Whether a ray to the left crosses an odd number of edges."""
+    count = 0
+    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        if (y0 <= y) != (y1 <= y):
+            count += x0 + (y - y0) / (y1 - y0) * (x1 - x0) < x
+    return count % 2 == 1

@@ -58,6 +58,10 @@ def test_it_holds_the_packages_and_nothing_else(wheel):
         names = set(archive.namelist())
     modules = {str(f.relative_to(ROOT)) for package in PACKAGES for f in (ROOT / package).rglob("*.py")}
     assert modules <= names
+    web = ROOT / "fovconn_env" / "render" / "web"
+    assert {
+        str(file.relative_to(ROOT)) for pattern in ("*.js", "*.html", "*.css") for file in web.glob(pattern)
+    } <= names
     assert {f"{package}/py.typed" for package in PACKAGES} <= names
     assert {name.split("/")[0].partition("-")[0] for name in names} == {*PACKAGES}
 

@@ -77,12 +77,28 @@ def write_mp4(flight: Flight, path: Path, watch: Watch) -> None:
         container.mux(stream.encode())
 
 
+def write_html(flight: Flight, path: Path, watch: Watch) -> None:
+    """A web page that plays the flight back, without network and without an install."""
+    from fovconn_env.render.page import write_page
+
+    write_page(flight, path, progress=watch)
+
+
+def write_rerun(flight: Flight, path: Path, watch: Watch) -> None:
+    """A recording for the viewer rerun."""
+    from fovconn_env.render.rerun_log import write_rrd
+
+    write_rrd(flight, path)
+
+
 # By suffix: the writer, the packages it needs, and the extra of this project that has them.
 WRITERS: dict[str, tuple[Callable[[Flight, Path, Watch], None], tuple[str, ...], str]] = {
     ".gif": (write_gif, ("matplotlib", "PIL"), "render"),
     ".mp4": (write_mp4, ("matplotlib", "PIL", "av"), "render,export"),
     ".csv": (write_csv, (), ""),
     ".parquet": (write_parquet, ("pyarrow",), "export"),
+    ".html": (write_html, (), ""),
+    ".rrd": (write_rerun, ("rerun",), "rerun"),
 }
 
 
@@ -90,10 +106,14 @@ def check_out(path: Path) -> None:
     """`ValueError` where no writer knows the suffix, or its packages are not installed: which, and how to get them."""
     if path.suffix not in WRITERS:
         raise ValueError(f"--out must end in one of {', '.join(WRITERS)}, got {str(path)!r}: the ending is the format")
-    _, packages, extra = WRITERS[path.suffix]
+    check_installed(path.suffix, *WRITERS[path.suffix][1:])
+
+
+def check_installed(what: str, packages: tuple[str, ...] = ("matplotlib", "PIL"), extra: str = "render") -> None:
+    """`ValueError` where something needs packages that are missing: which, and the extra that has them."""
     missing = [name for name in packages if importlib.util.find_spec(name) is None]
     if missing:
-        raise ValueError(f'{path.suffix} needs {" and ".join(missing)}: pip install "fovconn-env[{extra}]"')
+        raise ValueError(f'{what} needs {" and ".join(missing)}: pip install "fovconn-env[{extra}]"')
 
 
 def write_flight(flight: Flight, path: Path, watch: Watch) -> Path:

@@ -286,7 +286,7 @@ def train(
                 found |= {f"score/{name}": value for name, value in scored.items()}
                 if scored["worth"] > best["worth"]:
                     best = {**scored, "steps": algorithm.steps}
-                    export(algorithm, folder, best, seeds)
+                    write_policy(algorithm, folder, best, seeds)
                 save()
             curves.add(algorithm.steps, found)
             progress(share, ", ".join(f"{name} {found[name]:.3g}" for name in ("loss", "success") if name in found))
@@ -302,7 +302,7 @@ def train(
 def score(algorithm: Algorithm, folder: Path, seeds: Sequence[int]) -> dict[str, float]:
     """Means over scenarios and seeds of what the policy is worth, flown by the kernel; worth is what counts."""
     trial = folder / f"trial{SUFFIX}"
-    export(algorithm, folder, {}, (), file=trial)
+    write_policy(algorithm, folder, {}, (), file=trial)
     results = [summary(evaluate(from_file(trial), scenario, seeds)) for scenario in algorithm.scenarios]
     for file in (trial, trial.with_suffix(".json")):
         file.unlink()
@@ -311,7 +311,7 @@ def score(algorithm: Algorithm, folder: Path, seeds: Sequence[int]) -> dict[str,
     return {"worth": means["never_disconnected"] + means["success"] + means["sct"], **means}
 
 
-def export(
+def write_policy(
     algorithm: Algorithm, folder: Path, scores: Mapping[str, Any], seeds: Sequence[int], *, file: Path | None = None
 ) -> None:
     """Write the policy with its card, and unless it goes to another `file` the SB3 model with it."""

@@ -28,6 +28,7 @@ class Look:
     cones: bool = True  # cameras' views
     trails: bool = True
     above: bool = True  # the view from above, beside
+    linked: int | None = None  # the robot whose links alone are shown; None: all
 
 
 class Aim:

@@ -20,7 +20,7 @@ def draw_potential(
     and lambda2_max, from where on it is 0. The law takes a lambda2 below lambda2_min + clamp for that value.
     """
     (low, high), held = bounds, bounds[0] + clamp
-    figure = style.page(7.5, 3.6)
+    figure = style.sheet(7.5, 3.6)
     axes = figure.add_subplot()
     shown = value > 0
     floor, top = float(np.interp(0.97 * high, lambda2, value)), float(value.max())
@@ -55,7 +55,7 @@ def draw_activation(low: float = 2.0, high: float = 6.0) -> Figure:
     """Fig. 3: the rising (7) and the falling (8) activation function between two thresholds."""
     x = np.linspace(low - 0.5 * (high - low), high + 0.5 * (high - low), 401)
     rising = np.array([rise(float(at), low, high) for at in x])
-    figure = style.page(7.5, 2.9)
+    figure = style.sheet(7.5, 2.9)
     curves = (("rising", r"$w_1^0(x, x^d, x^D)$  (7)", rising), ("falling", r"$w_0^1(x, x^d, x^D)$  (8)", 1.0 - rising))
     for axes, (name, label, values) in zip(figure.subplots(1, 2, sharey=True), curves, strict=True):
         axes.axvspan(low, high, color="#F2F2F2", lw=0, zorder=0)

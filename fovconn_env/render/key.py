@@ -46,13 +46,14 @@ def _draw_mark(surface: pygame.Surface, kind: str, theme: Theme) -> None:
     if kind in ("mutual", "one_way", "weak"):
         color = theme.one_way if kind == "one_way" else theme.mutual
         if kind == "weak":
-            pygame.draw.line(surface, theme.warning, left, right, 7 * FINE)
+            pygame.draw.line(surface, theme.warning, left, right, 9 * FINE)
+            pygame.draw.line(surface, theme.page, left, right, 5 * FINE)
         pygame.draw.line(surface, color, left, right, (2 if kind == "weak" else 3) * FINE)
         if kind == "one_way":
             pygame.draw.polygon(surface, color, shapes3d.arrow(left, right, 4.0 * FINE)[2:5].tolist())
     elif kind == "camera":
         wedge = shapes3d.fan((1.0, 0.0, 0.0), 0.4)[:, :2] * 0.42 * height + [0.3 * width, height / 2]
-        pygame.draw.polygon(surface, mixed(theme.followers[0], theme.page, 0.35), wedge.tolist())
+        pygame.draw.polygon(surface, mixed(theme.followers[0], theme.page, 0.6), wedge.tolist())
     elif kind == "stick":
         pygame.draw.polygon(surface, theme.leader, shapes3d.arrow(left, right, 4.5 * FINE).tolist())
     elif kind == "waypoint":

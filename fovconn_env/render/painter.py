@@ -9,17 +9,19 @@ from typing import NamedTuple
 
 import numpy as np
 import pygame
-from pygame import gfxdraw
 
 from fovconn_env.render import shapes3d, sight, strokes
 from fovconn_env.render.instant import Instant
 from fovconn_env.render.palette import Theme, colors_of, leader_of, mixed
+from fovconn_env.render.pixels import shade
 from fovconn_env.render.projection import NEAR, Lens, clipped, in_front, project, scale_at
 from fovconn_env.render.stage import Stage
 from fovconn_env.render.strip import FINE
 from fovconn_env.scenarios import Scenario
 
 _HALF_WIDTH = 0.34  # m of a quadrotor in the picture, or more where it would be too small to see
+_STAR = 0.8  # radius of a way point's star, in least half-widths of a robot
+_ROOM = 4.25 * FINE  # half-width of a crowd's robots below which their links are thinner
 _STUB = 1.6  # m of a camera's view that is drawn strong
 _CIRCLE = shapes3d.rim((0.0, 0.0, 1.0), 0.0, 14)  # level, (14, 3)
 _SHADOW = np.concatenate([np.zeros((1, 3)), 0.8 * _CIRCLE])  # its middle first
@@ -31,6 +33,7 @@ class Marks(NamedTuple):
     robots: np.ndarray  # (N, 2)
     radii: np.ndarray  # (N,)
     waypoints: np.ndarray  # (W, 2)
+    star: float  # radius of a way point's star
     grid: float = 0.0  # m between grid lines
 
 
@@ -46,6 +49,7 @@ class Painter:
         self._rim = shapes3d.rim(camera.unit_axis, camera.a_min)
         self._reach = camera.d_max
         self.colors = colors_of(scenario, theme, leader)
+        self._inks = np.array([int(color[1:], 16) for color in self.colors], np.uint32)
         self._tints = [mixed(color, theme.ground, 0.45) for color in self.colors]
         self._hints = [mixed(color, theme.ground, 0.25) for color in self.colors]
         self._faces = [
@@ -65,8 +69,12 @@ class Painter:
         tracks: np.ndarray,
         weak: list[tuple[int, int]],
         cones: bool,
+        linked: int | None = None,
     ) -> Marks:
-        """Draw everything that moves and stands. tracks (T, N, 3), where the robots were; weak, links to highlight."""
+        """Draw everything that moves and stands.
+
+        tracks (T, N, 3): where the robots were; weak: links to highlight; linked: whose links alone are drawn.
+        """
         at = now.poses[:, :3]
         pixels, depth = project(lens, at)
         scale = scale_at(lens, depth)
@@ -80,16 +88,17 @@ class Painter:
             self._paint_trails(surface, lens, tracks)
         if cones:
             self._paint_cones(surface, lens, at, attitude, ok & now.sees)
-        jobs = [*self._walls(lens, stage), *self._links(lens, now, pixels, half * scale, weak)]
+        jobs = [*self._walls(lens, stage), *self._links(lens, now, pixels, half * scale, weak, linked)]
         jobs += self._robots(lens, at, attitude, half, now)
         jobs += self._points(lens, now, stage, size)
         for _, draw, *arguments in sorted(jobs, key=lambda job: -job[0]):
             draw(surface, *arguments)
         if self._leader is not None and depth[self._leader] > NEAR and now.stick.any():
             self._paint_stick(surface, lens, at[self._leader], now.stick, size)
-        waypoints, _ = project(lens, stage.course[len(stage.course) - stage.n_waypoints :])
+        waypoints, far = project(lens, stage.course[len(stage.course) - stage.n_waypoints :])
+        waypoints = np.where((far > NEAR)[:, None], waypoints, -1e6)
         seen = np.where((depth > NEAR)[:, None], pixels, -1e6)
-        return Marks(seen, half * scale, waypoints)
+        return Marks(seen, half * scale, waypoints, _STAR * size)
 
     def paint_ground(
         self, surface: pygame.Surface, lens: Lens, center: np.ndarray, radius: float, floor: float, step: float
@@ -143,8 +152,8 @@ class Painter:
         n, alpha = len(at), 26 if self._crowd else 58
         stub = shapes3d.placed(self._fan, attitude, at, np.full(n, _STUB))
         wedges, depth = project(lens, stub)
-        for i in np.flatnonzero(shown & (depth.min(axis=1) > NEAR)):
-            gfxdraw.filled_polygon(surface, wedges[i].tolist(), (*pygame.Color(self.colors[i])[:3], alpha))
+        chosen = shown & (depth.min(axis=1) > NEAR)
+        shade(surface, wedges[chosen], self._inks[chosen], alpha)
         if self._crowd:
             return
         edge, reach = (self._fan, self._reach) if lens.parallel else (self._rim, _STUB)
@@ -175,29 +184,47 @@ class Painter:
         return jobs
 
     def _links(
-        self, lens: Lens, now: Instant, pixels: np.ndarray, radii: np.ndarray, weak: list[tuple[int, int]]
+        self,
+        lens: Lens,
+        now: Instant,
+        pixels: np.ndarray,
+        radii: np.ndarray,
+        weak: list[tuple[int, int]],
+        linked: int | None,
     ) -> list[tuple]:
-        """Halves of links, as wide as the weight. One-way links carry an arrow towards the robot that is seen."""
+        """Halves of links, as wide as the weight. One-way links carry an arrow towards the robot that is seen.
+
+        Weak ones lie on a bright band, with a gap that keeps their own colour apart. In a crowd less weight is fainter.
+        """
         theme, at = self._theme, now.poses[:, :3]
         first, second = np.nonzero(np.triu(now.weights, 1) > 0)
+        if linked is not None:
+            chosen = (first == linked) | (second == linked)
+            first, second = first[chosen], second[chosen]
         kinds = sight.sight_class(now.watch[first, second], now.watch[second, first])
         eyes, seen = np.where(kinds == sight.OTHERS, (second, first), (first, second))
         three = np.stack([at[eyes], (at[eyes] + at[seen]) / 2, at[seen]], axis=1)  # ends and middle
         halves = clipped(lens, three[:, [[0, 1], [1, 2]]])
         lines, depth = project(lens, halves)
         behind = depth.mean(axis=-1) + (3.0 if self._crowd else 0.4)  # robots stand before their own links
-        widths = FINE * (0.5 if self._crowd else 1.0) * (0.8 + 2.0 * now.weights[first, second])
+        share = 0.5 * min(1.0, float(np.median(radii)) / _ROOM) if self._crowd else 1.0
+        widths = FINE * share * (0.8 + 2.0 * now.weights[first, second])
         jobs, spots, sizes = [], pixels.tolist(), radii.tolist()
         for k, (ends, far, width) in enumerate(zip(lines.tolist(), behind.tolist(), widths.tolist(), strict=True)):
             mutual, alarm = kinds[k] == sight.MUTUAL, (int(first[k]), int(second[k])) in weak
             color = theme.mutual if mutual else theme.one_way
+            if self._crowd:
+                color = mixed(color, theme.ground, 0.35 + 0.65 * float(now.weights[first[k], second[k]]))
             for (a, b), distance in zip(ends, far, strict=True):
                 if alarm:
-                    jobs.append((distance + 0.01, strokes.line, theme.warning, a, b, width + 5 * FINE))
+                    jobs.append((distance + 0.02, strokes.line, theme.warning, a, b, width + 7 * FINE))
+                    jobs.append((distance + 0.01, strokes.line, theme.page, a, b, width + 3 * FINE))
                 jobs.append((distance, strokes.line, color, a, b, width))
             if not mutual and depth[k].min() > NEAR:
-                head = strokes.arrow_head(spots[eyes[k]], spots[seen[k]], sizes[seen[k]], width)
-                jobs.append((far[1] - 0.3, strokes.fill_outlined, color, theme.page, head))
+                broad, least = width + 2 * FINE * alarm, 3.5 * FINE * min(1.0, 2.0 * share)
+                head = strokes.arrow_head(spots[eyes[k]], spots[seen[k]], sizes[seen[k]], broad, least)
+                look = (strokes.fill, color) if share < 0.5 else (strokes.fill_outlined, color, theme.page)
+                jobs.append((far[1] - 0.3, *look, head))
         return jobs
 
     def _robots(self, lens: Lens, at: np.ndarray, attitude: np.ndarray, half: np.ndarray, now: Instant) -> list[tuple]:
@@ -222,7 +249,7 @@ class Painter:
             color = theme.operator if k >= now.waypoint else theme.faint
             if far > NEAR:
                 jobs.append(
-                    (far, strokes.fill_outlined, color, theme.page, (star + 0.8 * size * shapes3d.STAR).tolist())
+                    (far, strokes.fill_outlined, color, theme.page, (star + _STAR * size * shapes3d.STAR).tolist())
                 )
         dots, depth = project(lens, now.ranges)
         jobs += [

@@ -5,6 +5,7 @@ Plain strings, so that no drawing library is needed to know them.
 
 from __future__ import annotations
 
+import functools
 import itertools
 from dataclasses import dataclass
 
@@ -86,6 +87,7 @@ def colors_of(scenario: Scenario, theme: Theme = LIGHT, leader: int | None = Non
     return colors
 
 
+@functools.lru_cache(maxsize=1024)
 def mixed(color: str, other: str, share: float) -> str:
     """`share` of a colour on the rest of another, both "#RRGGBB"."""
     pairs = ((int(color[k : k + 2], 16), int(other[k : k + 2], 16)) for k in (1, 3, 5))

@@ -42,7 +42,7 @@ def draw_plan(
     left, right = left - spare, right + spare
     spare = max(0.0, 0.3 * (right - left) - (high - low)) / 2
     low, high = low - spare, high + spare
-    figure = style.page(7.5, min(6.0 * (high - low) / (right - left) + 1.2, 8.5))
+    figure = style.sheet(7.5, min(6.0 * (high - low) / (right - left) + 1.2, 8.5))
     axes = figure.add_subplot(aspect="equal", xlim=(left, right), ylim=(low, high), xlabel="x (m)", ylabel="y (m)")
     figure.suptitle(title, fontsize=10, weight="bold")
     for axis in (axes.xaxis, axes.yaxis):

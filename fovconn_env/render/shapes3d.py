@@ -123,9 +123,10 @@ def grid_lines(center: np.ndarray, radius: float, step: float) -> np.ndarray:
             math.ceil((center[axis] - radius) / step), math.floor((center[axis] + radius) / step) + 1
         )
         half = np.sqrt(np.maximum(radius**2 - (places - center[axis]) ** 2, 0.0))
-        ends = np.stack([center[1 - axis] - half, center[1 - axis] + half], axis=-1)
-        both = np.stack([np.stack([places, places], axis=-1), ends], axis=-1)
-        lines.append(both if axis == 0 else both[..., ::-1])
+        ends = np.empty((len(places), 2, 2))
+        ends[:, :, axis] = places[:, None]
+        ends[:, 0, 1 - axis], ends[:, 1, 1 - axis] = center[1 - axis] - half, center[1 - axis] + half
+        lines.append(ends)
     return np.concatenate(lines)
 
 

@@ -20,6 +20,9 @@ def line(surface: pygame.Surface, color: str, a: list[float], b: list[float], wi
 
 def dashes(surface: pygame.Surface, color: str, a: list[float], b: list[float]) -> None:
     """A line of dashes."""
+    width, height = surface.get_size()
+    if max(a[0], b[0]) < 0 or max(a[1], b[1]) < 0 or min(a[0], b[0]) > width or min(a[1], b[1]) > height:
+        return  # beside the picture
     n = int(min(math.hypot(b[0] - a[0], b[1] - a[1]) / (8 * FINE), 24)) // 2 * 2 + 1
     dx, dy = (b[0] - a[0]) / n, (b[1] - a[1]) / n
     for k in range(0, n, 2):
@@ -43,12 +46,17 @@ def dot(surface: pygame.Surface, color: str, at: list[float]) -> None:
     pygame.draw.circle(surface, color, at, 1.5 * FINE)
 
 
-def arrow_head(eye: list[float], seen: list[float], radius: float, width: float) -> list[tuple[float, float]]:
-    """The head, 3 corners, of an arrow on a line of a width from one robot to another, short of the latter's radius."""
+def arrow_head(
+    eye: list[float], seen: list[float], radius: float, width: float, least: float
+) -> list[tuple[float, float]]:
+    """The head, 3 corners, of an arrow on a line of a width from one robot to another, short of the latter's radius.
+
+    least: its length on a line without width.
+    """
     dx, dy = seen[0] - eye[0], seen[1] - eye[1]
     length = max(math.hypot(dx, dy), 1e-6)
     dx, dy = dx / length, dy / length
-    long, back = min(3.5 * FINE + 1.7 * width, 0.35 * length), min(1.25 * radius, 0.4 * length)
+    long, back = min(least + 1.7 * width, 0.35 * length), min(1.25 * radius, 0.4 * length)
     x, y = seen[0] - back * dx, seen[1] - back * dy
     left, top = x - long * dx, y - long * dy
     return [(x, y), (left - 0.5 * long * dy, top + 0.5 * long * dx), (left + 0.5 * long * dy, top - 0.5 * long * dx)]

@@ -51,7 +51,7 @@ RC: dict[Any, Any] = {
 }
 
 
-def page(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
+def sheet(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
     """An empty figure of width x height inches (7.5 is 1200 pixels), drawn by Agg: no display is needed."""
     figure = Figure(figsize=(width, height), dpi=DPI, layout=layout, facecolor="white")
     FigureCanvasAgg(figure)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Sequence
 from pathlib import Path
 
 import pygame
@@ -46,14 +47,43 @@ class Typesetter:
             self._made[key] = self._render(*key)
         return self._made[key]
 
-    def put(self, surface: pygame.Surface, words: pygame.Surface, at: tuple[float, float]) -> pygame.Rect:
-        """Set words with their upper left corner at `at` and remember the place as taken."""
+    def broken(self, words: str, room: int) -> list[str]:
+        """Words as lines that are at most `room` px wide, as far as single words are.
+
+        Last parts, after three blanks, are left out where that is enough.
+        """
+        parts = words.split("   ")
+        while len(parts) > 1 and self.width("   ".join(parts)) > room:
+            parts.pop()
+        words, lines = "   ".join(parts), [""]
+        for word in words.split(" "):
+            longer = f"{lines[-1]} {word}" if lines[-1] else word
+            if lines[-1] and self.width(longer) > room:
+                lines.append(word)
+            else:
+                lines[-1] = longer
+        return [line.strip() for line in lines]
+
+    def put(
+        self, surface: pygame.Surface, words: pygame.Surface, at: tuple[float, float], *, ground: str = ""
+    ) -> pygame.Rect:
+        """Set words with their upper left corner at `at` and remember the place; `ground`: of a plate behind them."""
+        if ground:
+            plate = pygame.Rect(at, words.get_size()).inflate(6, 2)
+            pygame.draw.rect(surface, ground, plate, border_radius=3)
         place = surface.blit(words, at)
         self.taken.append(place)
         return place
 
-    def label(self, surface: pygame.Surface, words: pygame.Surface, at: tuple[float, float], gap: float) -> bool:
-        """Set words `gap` px above, below, left or right of `at`, where there is room; tells whether there was."""
+    def label(
+        self,
+        surface: pygame.Surface,
+        words: pygame.Surface,
+        at: Sequence[float],
+        gap: float,
+        marks: Sequence[pygame.Rect] = (),
+    ) -> bool:
+        """Set words `gap` px above, below, left or right of `at`, off words and `marks`; tells whether it did."""
         x, y = at
         w, h = words.get_size()
         inside = surface.get_clip()
@@ -64,7 +94,7 @@ class Typesetter:
             (x - w / 2, y + gap),
         ):
             place = pygame.Rect(round(left), round(top), w, h)
-            if inside.contains(place) and place.collidelist(self.taken) < 0:
+            if inside.contains(place) and place.collidelist([*self.taken, *marks]) < 0:
                 self.put(surface, words, place.topleft)
                 return True
         return False

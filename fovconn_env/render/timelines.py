@@ -24,7 +24,7 @@ _REGAINED = {"color": style.TRUTH, "lw": 1.2, "ls": "--"}
 @matplotlib.rc_context(style.RC)
 def draw_connectivity(flight: Flight) -> Figure:
     """Fig. 6: true lambda2 and every robot's estimate, with the operator's phases; below, the number of edges."""
-    figure = style.page(7.5, 5.0)
+    figure = style.sheet(7.5, 5.0)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2.6, 1))
     plot_lambda2(above, flight)
     above.set(title="Connectivity eigenvalue", ylabel=r"$\lambda_2$")
@@ -51,7 +51,7 @@ def draw_relative_yaw(flight: Flight, i: int | None = None, others: Sequence[int
     classes = sight.sight_class(flight.watch, flight.watch.swapaxes(1, 2))
     i = sight.observer(classes) if i is None else i
     others = sight.busiest(classes, i) if others is None else others
-    figure = style.page(7.5, 1.1 + 1.95 * len(others))
+    figure = style.sheet(7.5, 1.1 + 1.95 * len(others))
     rows = figure.subplots(len(others), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, j in zip(rows, others, strict=True):
         _plot_yaw_error(axes, flight, i, j, classes[:, i, j])

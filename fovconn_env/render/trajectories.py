@@ -34,7 +34,7 @@ def draw_trajectories(flight: Flight) -> Figure:
     spare = max(0.0, _LEAST_HEIGHT - (limits[2][1] - limits[2][0])) / 2
     limits[2] = limits[2][0] - spare, limits[2][1] + spare
     sides, floor = [high - low for low, high in limits], limits[2][0]
-    figure = style.page(7.5, 4.9, layout=None)
+    figure = style.sheet(7.5, 4.9, layout=None)
     axes = Axes3D(figure, elev=32, azim=-60 if sides[0] >= sides[1] else -30)
     figure.add_axes(axes)
     for i, color in enumerate(palette.colors_of(flight.scenario)):
@@ -64,7 +64,7 @@ def draw_top_view(flight: Flight) -> Figure:
     (left, right), (low, high) = style.span(places[:, 0], 1.2), style.span(places[:, 1], 1.2)
     spare = max(0.0, 0.75 * (high - low) - (right - left)) / 2  # a narrow flight shows more of its surroundings
     left, right = left - spare, right + spare
-    figure = style.page(7.5, min(max(5.1 * (high - low) / (right - left) + 0.6, 3.6), 7.2))
+    figure = style.sheet(7.5, min(max(5.1 * (high - low) / (right - left) + 0.6, 3.6), 7.2))
     axes = figure.add_subplot(aspect="equal", xlim=(left, right), ylim=(low, high), xlabel="x (m)", ylabel="y (m)")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(9, steps=_STEPS))

@@ -137,51 +137,81 @@ class View:
             tracks=self._history.tracks(now.time - _TRAIL if look.trails else math.inf),
             weak=weak,
             cones=look.cones,
+            linked=look.linked,
         )
         if above:
             pygame.draw.line(panel, self._colors.page, (0, 0), (0, size[1]), 4 * FINE)
         return marks._replace(grid=grid)
 
     def _letter(self, place: pygame.Rect, now: Instant, warnings: list[str]) -> None:
-        """Title, the overlay's lines below it, and warnings at the lower left."""
+        """Title, the overlay's lines and warnings, below each other at the upper left, where the team is far away."""
         theme, type_, page = self._colors, self._type, self._page
         x, y = place.left + type_.line // 2, place.top + type_.line // 3
-        title = type_.put(page, type_.words(self._scenario.name, theme.text, halo=theme.ground, bold=True), (x, y))
-        clock = f"{now.time:.1f} s   {now.outcome}".rstrip()
-        type_.put(page, type_.words(clock, theme.text, halo=theme.ground), (title.right + type_.line, y))
-        for line in self.overlay:
+        title = type_.words(self._scenario.name, theme.text, bold=True)
+        clock = type_.words(f"{now.time:.1f} s   {now.outcome}".rstrip(), theme.text)
+        left = type_.put(page, title, (x, y), ground=theme.ground).right + type_.line
+        if left + clock.get_width() > place.right - 4:
+            left, y = x, y + type_.line + 2
+        type_.put(page, clock, (left, y), ground=theme.ground)
+        y += type_.line + 2
+        for line in [part for whole in self.overlay for part in type_.broken(whole, place.width - x - 4)]:
+            type_.put(page, type_.words(line, theme.text), (x, y), ground=theme.ground)
             y += type_.line + 2
-            type_.put(page, type_.words(line, theme.text, halo=theme.ground), (x, y))
-        bottom = place.bottom - type_.line // 2
-        for line in reversed(warnings):
+        y += 2
+        room = max(1, int((0.3 * place.height - y) / (type_.line + 10)))  # below it stands the team
+        for line in warnings[:room]:
             words = type_.words(line, theme.text)
-            box = pygame.Rect(x, bottom - words.get_height() - 6, words.get_width() + 18, words.get_height() + 6)
+            box = pygame.Rect(x, y, words.get_width() + 18, words.get_height() + 6)
             pygame.draw.rect(page, mixed(theme.warning, theme.page, 0.16), box, border_radius=4)
             pygame.draw.rect(page, theme.warning, (box.left, box.top, 4, box.height), border_radius=2)
             page.blit(words, (box.left + 11, box.top + 3))
             type_.taken.append(box)
-            bottom = box.top - 4
+            y = box.bottom + 4
 
     def _label(
         self, place: pygame.Rect, marks: Marks, now: Instant, weak: list[tuple[int, int]], *, small: bool
     ) -> None:
-        """Numbers of robots and way points, the leader and weak links' ends first; those without room are left out."""
-        theme, leader = self._colors, self._leader
+        """Numbers of robots and way points, the leader and weak links' ends first; those without room are left out.
+
+        In a small team a number may stand on another robot, in a crowd it may not.
+        """
+        theme, leader, crowd = self._colors, self._leader, self._scenario.n_agents > 12
         self._page.set_clip(place)
+        robots, waypoints = ((at / FINE + place.topleft).tolist() for at in (marks.robots, marks.waypoints))
+        radii, star = (marks.radii / FINE).tolist(), marks.star / FINE
+        stars = [_around(at, 0.9 * star) for at in waypoints]
+        bodies = [_around(at, 0.7 * radius) for at, radius in zip(robots, radii, strict=True)]
         scale = self._type.words(f"grid {marks.grid:g} m", theme.faint, halo=theme.ground)
-        corner = (place.right - scale.get_width() - 6, place.bottom - scale.get_height() - 3)
-        self._type.put(self._page, scale, corner)
+        corner = pygame.Rect(
+            (place.right - scale.get_width() - 6, place.bottom - scale.get_height() - 3), scale.get_size()
+        )
+        if corner.collidelist([*stars, *bodies]) < 0:
+            self._type.put(self._page, scale, corner.topleft, ground=theme.ground)
         urgent = {i for pair in weak for i in pair}
-        order = sorted(range(len(marks.robots)), key=lambda i: (i != leader, i not in urgent, i))
-        few = small and self._scenario.n_agents > 12
-        for i in order[:1] if few else order:
-            color = self._painter.colors[i] if now.alive[i] else theme.faint
+        order = sorted(range(len(robots)), key=lambda i: (i != leader, i not in urgent, i))
+        for i in order[:1] if small and crowd else order:
+            color = (
+                theme.text if crowd else mixed(self._painter.colors[i], theme.text, 0.75)
+            )  # pale numbers are hard to read
+            color = color if now.alive[i] else theme.faint
             roles = ", ".join(word for word, applies in (("leader", i == leader), ("you", i == self.pilot)) if applies)
             text = str(i + 1) if small else f"{i + 1} {roles}".rstrip()
             words = self._type.words(text, color, halo=theme.ground, bold=True)
-            self._type.label(self._page, words, marks.robots[i] / FINE + place.topleft, 1.15 * marks.radii[i] / FINE)
-        for k, at in enumerate(marks.waypoints):
+            at, others, gap = robots[i], [*bodies[:i], *bodies[i + 1 :], *stars], 1.15 * radii[i]
+            if not self._type.label(self._page, words, at, gap, others) and (i == leader or not crowd):
+                self._type.label(self._page, words, at, gap)
+        for k, at in enumerate(waypoints):
+            if not place.collidepoint(at):
+                continue
             color = theme.operator if k >= now.waypoint else theme.faint
             words = self._type.words(f"P{k + 1}", color, halo=theme.ground, bold=True)
-            self._type.label(self._page, words, at / FINE + place.topleft, 0.6 * self._type.line)
+            others = [*bodies, *stars[:k], *stars[k + 1 :]]
+            if not self._type.label(self._page, words, at, star + 1, others) and not crowd:
+                self._type.label(self._page, words, at, star + 1, stars)
         self._page.set_clip(None)
+
+
+def _around(at: list[float], radius: float) -> pygame.Rect:
+    """The square about a place x, y of the page, px."""
+    left, top = (round(min(max(side - radius, -1e6), 1e6)) for side in at)
+    return pygame.Rect(left, top, round(2 * radius), round(2 * radius))

@@ -62,7 +62,7 @@ def test_lists_agree():
         assert lines[0] == f"torch=={constraints['torch']}"
         assert all("==" in line for line in lines)
         others = {name for name in listed if listed[name] != constraints.get(name, listed[name])}
-        assert others == ({"gymnasium", "av"} if listed is OLDER else set())  # BenchMARL's TorchRL asks for these
+        assert others == ({"gymnasium", "av", "pillow"} if listed is OLDER else set())  # RLlib, TorchRL and moviepy ask
 
 
 def test_every_script_is_in_the_table_and_has_its_test():

@@ -9,7 +9,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from fovconn_env.render.style import DARK, FAINT, FOLLOWERS, RC, page
+from fovconn_env.render.style import DARK, FAINT, FOLLOWERS, RC, sheet
 
 KINDS = (".png", ".svg", ".pdf")
 OURS, PEER, SECOND, THIRD = FOLLOWERS[0], FOLLOWERS[1], FOLLOWERS[6], FOLLOWERS[2]
@@ -30,7 +30,7 @@ POINTS = (
 def plot(report: dict[str, Any], path: Path) -> None:
     """Draw a record to a file of one of `KINDS`."""
     with matplotlib.rc_context(RC):
-        figure = page(10.0, 4.6)
+        figure = sheet(10.0, 4.6)
         left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
         _steps(left, report["cases"])
         _cost(right, report["cases"])

@@ -11,6 +11,7 @@ from baselines import find_policy
 from fovconn_env import scenario
 from training.commands.options import PolicyName, RecordFile, ScenarioName, Settings, check_recording, parse
 from training.commands.screen import measures, out, progress, warm_up
+from training.export import check_installed
 
 
 def command(
@@ -27,6 +28,7 @@ def command(
 
     chosen = scenario(scenario_name, **parse(settings))
     find_policy(policy)
+    check_installed("demo")
     check_recording(recording_file)
     folder.mkdir(parents=True, exist_ok=True)
     with progress() as bar:

@@ -22,7 +22,7 @@ from training.commands.options import (
     parse,
 )
 from training.commands.screen import err, grid, measures, out, progress, say_written, width
-from training.evaluation.campaign import DEV_SEEDS, SUITES, Cell, parse_seeds, suite
+from training.evaluation.campaign import DEV_SEEDS, Cell, parse_seeds, suite
 from training.evaluation.comparison import Comparison, overall_table, scenario_table
 from training.evaluation.recordings import record_flights
 from training.evaluation.results import publish, short, write_json
@@ -38,7 +38,9 @@ def command(
     ] = None,
     suite_name: Annotated[
         str | None,
-        typer.Option("--suite", help=f"{' or '.join(SUITES)}: all policies (and those given) on all scenarios."),
+        typer.Option(
+            "--suite", help="quick or full: all policies (and those given) on four scenarios, 32 seeds, or on all, 320."
+        ),
     ] = None,
     seeds: Annotated[str | None, typer.Option(help="Seeds: 0-319, 7 or 0-31,100-131.  [default: 0-319]")] = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder for report, JSON and episodes.")] = OUT / "eval",

@@ -22,6 +22,7 @@ from training.commands.options import (
 from training.commands.screen import grid, out, progress, say_written
 from training.evaluation.campaign import parse_seeds
 from training.evaluation.results import write_json
+from training.export import check_installed
 
 
 def command(
@@ -53,6 +54,7 @@ def command(
         raise ValueError(f"figures must be told which, got {given}: name a recording, or add --ablations or --map")
     if scenario_name is not None and map_file is None:
         raise ValueError(f"--scenario must come with --map, got {scenario_name!r}: what is flown has its own")
+    check_installed("figures")
     check_folder(folder)
     check_writable({"--json": json_file})
     if recording is not None:

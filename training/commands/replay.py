@@ -13,12 +13,12 @@ from training.commands.screen import measures, out, progress, say_written
 from training.evaluation.recordings import measure
 from training.export import WRITERS, check_out, write_flight
 
+_OUT = f"Write the flight here; the ending is the format: {', '.join(WRITERS)}. An .html is a page that plays it back."
+
 
 def command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, as --record writes it.")],
-    path: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help=f"Write the flight here, as {', '.join(WRITERS)}.")
-    ] = None,
+    path: Annotated[Path | None, typer.Option("--out", metavar="FILE", help=_OUT)] = None,
     force: Force = False,
 ) -> None:
     """Compute a recorded flight again, see that it comes out bit for bit, measure it and write it in other formats."""

@@ -10,7 +10,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.ticker import PercentFormatter
 
-from fovconn_env.render.style import DARK, FAINT, FOLLOWERS, RC, page, save
+from fovconn_env.render.style import DARK, FAINT, FOLLOWERS, RC, save, sheet
 from training.evaluation.ablations import STUDIES, Study
 
 KEPT = "never_disconnected"
@@ -28,7 +28,7 @@ _KINDS = {  # label, colour, shift of the bar
 def draw(found: list[list[dict[str, Any]]], path: Path, about: str) -> Path:
     """Draw the studies' summaries, see `ablations.gather`, to a PNG; `about` is written below."""
     with matplotlib.rc_context(RC):
-        figure = page(11.0, 6.0)
+        figure = sheet(11.0, 6.0)
         panels = figure.subplots(2, len(STUDIES) // 2, sharey="row", squeeze=False)
         handles: dict[str, Any] = {}
         for axes, study, reports in zip(panels.flat, STUDIES, found, strict=True):

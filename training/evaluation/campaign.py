@@ -28,7 +28,9 @@ from training.evaluation.flights import Evaluation, fly, join, label
 from training.evaluation.results import plain
 
 DEV_SEEDS = range(320)  # frozen: development; a held-out set is kept apart
-SUITES = {"quick": DEV_SEEDS[:32], "full": DEV_SEEDS}  # all policies on all scenarios
+# as it is, sight hidden, parts that fail, a narrow field of view: each parts other policies
+QUICK = ("LeaderFollow-v0", "LeaderObstacles-v0", "Blackout-v0", "NarrowCamera-v0")
+SUITES = {"quick": (QUICK, DEV_SEEDS[:32]), "full": (tuple(PRESETS), DEV_SEEDS)}  # scenarios and seeds, of all policies
 BLOCK = 64  # episodes flown at once by a process
 _POLL = 0.1  # s
 
@@ -48,7 +50,8 @@ def suite(name: str) -> tuple[list[str], list[str], list[int]]:
     """Policies, scenarios and seeds of a suite; `ValueError` lists the suites there are."""
     if name not in SUITES:
         raise ValueError(f"suite must be one of {', '.join(SUITES)}, got {name!r}: each flies all policies")
-    return list(POLICIES), list(PRESETS), list(SUITES[name])
+    scenarios, seeds = SUITES[name]
+    return list(POLICIES), list(scenarios), list(seeds)
 
 
 def parse_seeds(text: str) -> list[int]:

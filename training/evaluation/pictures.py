@@ -19,7 +19,7 @@ from matplotlib.ticker import MaxNLocator, NullLocator, PercentFormatter
 
 from fovconn_env.metrics import CAUSES as LOST_BY
 from fovconn_env.metrics import ERRORS, SPLIT_CAUSE, bin_edges
-from fovconn_env.render.style import DARK, FAINT, FOLLOWERS, LEADER, RC, page, save
+from fovconn_env.render.style import DARK, FAINT, FOLLOWERS, LEADER, RC, save, sheet
 from training.evaluation.comparison import EXPERT, MERIT, Comparison, Result
 from training.evaluation.statistics import survival
 
@@ -131,7 +131,7 @@ def draw_differences(
     others = {p: result for p, result in results.items() if not math.isnan(result.kept_difference.value)}
     if not others:
         return None
-    figure = page(WIDTH, 1.0 + ROW * len(others))
+    figure = sheet(WIDTH, 1.0 + ROW * len(others))
     axes = figure.subplots(1, 2, sharey=True)
     for panel, kind, title in zip(axes, ("kept", "success"), ("Never disconnected", "Success"), strict=True):
         for row, (policy, result) in enumerate(others.items()):
@@ -148,7 +148,7 @@ def draw_differences(
 
 def draw_causes(results: Mapping[str, Result], names: Mapping[str, str], look: Mapping[str, Look]) -> Figure:
     """Reasons of lost links, a minute, and of splits."""
-    figure = page(WIDTH, 1.35 + ROW * len(results))
+    figure = sheet(WIDTH, 1.35 + ROW * len(results))
     left, right = figure.subplots(1, 2, sharey=True)
     lost, splits = np.zeros((len(results), len(LOST_BY))), np.zeros((len(results), len(SPLIT_CAUSE) - 1))
     for row, result in enumerate(results.values()):
@@ -210,7 +210,7 @@ def _with_legend(
     Lines get thinner from the first to the last, so that those that coincide are all seen.
     """
     columns = max(1, min(len(names), int(WIDTH / (0.6 + 0.058 * max(len(name) for name in names.values()))), 4))
-    figure = page(WIDTH, height + 0.19 * math.ceil(len(names) / columns))
+    figure = sheet(WIDTH, height + 0.19 * math.ceil(len(names) / columns))
     widths = np.linspace(3.0, 1.3, len(names)) if len(names) > 1 else [2.0]
     lines = {
         policy: {"color": look[policy].color, "ls": look[policy].dashes, "lw": float(width)}

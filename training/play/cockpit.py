@@ -13,7 +13,7 @@ from fovconn_env.render.view import View
 from training.play import gamepad
 from training.play.keyboard import Key, Keyboard, find
 from training.play.pace import Pace
-from training.play.panels import draw_panel, help_columns, score_rows
+from training.play.panels import HELP, draw_panel, help_pages, score_rows
 from training.play.session import Session
 from training.play.stick import REST, Stick, together
 
@@ -36,7 +36,9 @@ class Cockpit:
         self.session, self.theme = session, theme
         self.keyboard, self.pad = Keyboard(), REST
         self.pace = Pace(session.scenario.step_time)
-        self.paused = self.helps = self.ended = self.asked_to_quit = False
+        self.paused = self.ended = self.asked_to_quit = False
+        self.own_links = False  # only those of the robot that is flown, or of the leader, are shown
+        self.helps = 0  # the page of the help that is shown, 0 for none
         self.reason = ""  # of a pause that nobody asked for
         self.frame = "view"  # forward is away from the person, or "robot": where it looks
         self._speed, self._sentence, self._left, self._seen = 0, "", 0.0, False
@@ -124,6 +126,10 @@ class Cockpit:
     def do_trails(self) -> str:
         return self._switch("trails")
 
+    def do_links(self) -> str:
+        self.own_links = not self.own_links
+        return "links of your robot" if self.own_links else "all links"
+
     def do_above(self) -> str:
         return self._switch("above")
 
@@ -133,12 +139,12 @@ class Cockpit:
         return ""
 
     def do_help(self) -> str:
-        self.helps = not self.helps
+        self.helps = (self.helps + 1) % (len(help_pages(self._view.size)) + 1)
         return ""
 
     def do_quit(self) -> str:
         if self.helps:
-            self.helps = False
+            self.helps = 0
         elif self.ended and not self._seen:
             self._seen = True  # the score, to look at the picture
         else:
@@ -155,7 +161,7 @@ class Cockpit:
     @property
     def stands(self) -> bool:
         """No time goes by in the flight."""
-        return self.paused or self.helps or self.session.over
+        return self.paused or self.helps > 0 or self.session.over
 
     def say(self, sentence: str) -> None:
         """Show a sentence for a while."""
@@ -178,6 +184,8 @@ class Cockpit:
         if size is not None and size != view.size:
             view.set_page(size)
         view.overlay, view.pilot = self._lines(), session.flown
+        mine = session.leader if session.flown is None else session.flown
+        self.look = dataclasses.replace(self.look, linked=mine if self.own_links else None)
         panel = self.helps, self.paused, self.reason, self.ended and not self._seen
         shown = session.simulator, session.seed, session.steps, session.leader, str(view.look), view.overlay
         late = 0.0 if self.stands else 1.0 - min(self.pace.begun, 1.0)
@@ -187,7 +195,10 @@ class Cockpit:
         self._shown = shown
         page, theme = view.draw(session.simulator, late=late), THEMES[self.theme]
         if self.helps:
-            draw_panel(page, theme, "fovconn play", help_columns(), veil=225)
+            pages = help_pages(view.size)
+            number = min(self.helps, len(pages))  # a window may have grown
+            foot = f"{number} of {len(pages)}   H: next   Esc: close" if len(pages) > 1 else ""
+            draw_panel(page, theme, HELP, pages[number - 1], foot=foot, veil=225)
         elif panel[-1]:
             score, files = session.score(), f", recorded in {session.files[-1].name}" if session.files else ""
             foot = "Backspace: again   N: next seed   Esc: look"

@@ -57,6 +57,7 @@ TABLE: dict[str, tuple[Key, ...]] = {
         Key(("c",), "camera", "orbit, behind a robot, from above"),
         Key(("x",), "cones", "cameras' views"),
         Key(("z",), "trails", "trails"),
+        Key(("k",), "links", "links of your robot alone, or all"),
         Key(("b",), "above", "view from above, beside"),
         Key(("t",), "theme", "light or dark"),
         Key(("h", "f1"), "help", "these keys"),

@@ -14,7 +14,8 @@ from training.play import gamepad, keyboard
 from training.play.score import Score
 
 Rows = Sequence[tuple[str, str]]
-_LEAST = 6  # px, smallest letters; a window is at least as large as it takes to read them
+_LEAST = 8  # px, smallest letters
+HELP = "fovconn play"  # the title of the help
 _TITLES = {"fly": "Fly", "team": "Team", "flight": "Flight", "picture": "Picture"}
 
 
@@ -27,6 +28,14 @@ def help_columns() -> list[list[tuple[str, Rows]]]:
         [(title, titled[title]) for title in column]
         for column in (("Fly", "Team", "Mouse"), ("Flight", "Picture", "Gamepad"))
     ]
+
+
+def help_pages(size: tuple[int, int]) -> list[list[list[tuple[str, Rows]]]]:
+    """Columns of all keys on a page of a size, px: in one panel, or in one for each table where that is too small."""
+    columns = help_columns()
+    if _letters(size, HELP, columns, "", "") is not None:
+        return [columns]
+    return [[[table]] for column in columns for table in column]
 
 
 def score_rows(score: Score) -> Rows:
@@ -56,11 +65,8 @@ def draw_panel(
     much it hides of the picture behind it.
     """
     size = page.get_size()
-    for height in range(text_height(size), _LEAST - 1, -1):
-        type_ = Typesetter(height)
-        box, widths = _layout(type_, title, columns, lead, foot)
-        if page.get_rect().contains(box.move_to(center=page.get_rect().center)):
-            break
+    type_ = _letters(size, title, columns, lead, foot) or Typesetter(_LEAST)
+    box, widths = _layout(type_, title, columns, lead, foot)
     box.center = page.get_rect().center
     line = type_.line
     cover = pygame.Surface(size, pygame.SRCALPHA)
@@ -95,6 +101,18 @@ def draw_panel(
     if foot:
         put(foot, theme.faint, (box.left + line, box.bottom - line - line // 2))
     return places
+
+
+def _letters(
+    size: tuple[int, int], title: str, columns: list[list[tuple[str, Rows]]], lead: str, foot: str
+) -> Typesetter | None:
+    """The largest letters in which a panel fits on a page of a size, px; None if there are none."""
+    for height in range(text_height(size), _LEAST - 1, -1):
+        type_ = Typesetter(height)
+        box, _ = _layout(type_, title, columns, lead, foot)
+        if box.width <= size[0] and box.height <= size[1]:
+            return type_
+    return None
 
 
 def _layout(
