@@ -14,6 +14,7 @@ from typing import Any
 from baselines.ablations import AllSeeing, BothLook, Flooding, NoYaw, Omni, Oracle
 from baselines.augmented import Augmented
 from baselines.cards import FOLDER, SUFFIX
+from baselines.cohesive import Cohesive
 from baselines.expert import Expert
 from baselines.learned import from_file
 from baselines.policy import Policy, scenario_of
@@ -32,6 +33,7 @@ POLICIES: dict[str, type[Policy]] = {
     "expert": Expert,
     "expert-flooding": Flooding,
     "augmented": Augmented,
+    "cohesive": Cohesive,
     "recovery": Recovery,
     "oracle": Oracle,
     "oracle-all-seeing": AllSeeing,

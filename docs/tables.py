@@ -4,7 +4,8 @@ A table stands between `<!-- KIND:NAME -->` and `<!-- end -->`. KIND is `layout`
 `layout:scales`, what the named bounds are), `settings` (fields of a settings class, with the comment beside each),
 `bench` (rates, bars or machine of docs/benchmark.json, which `fovconn bench --json` writes), `results`
 (a table of a record in docs/results, which `make results` writes), `levels` (of one scenario, from
-docs/results/levels.json, which docs/levels.py writes) or `keys` (of `fovconn play`, one group of its key table, `mouse`
+docs/results/levels.json, which docs/levels.py writes), `learned` (a table of docs/results/learned.json, which
+docs/learned.py writes) or `keys` (of `fovconn play`, one group of its key table, `mouse`
 or `gamepad`).
 """
 
@@ -47,7 +48,7 @@ _FIELD = re.compile(r"^    (\w+): (.+?) = (.+?)(?:  # (.*))?$", re.MULTILINE)
 def rendered(text: str) -> str:
     """A page with its generated tables made anew."""
     kinds = {"layout": layout_table, "settings": settings_table, "bench": bench_table}
-    kinds |= {"results": results_table, "levels": levels_table, "keys": keys_table}
+    kinds |= {"results": results_table, "levels": levels_table, "learned": learned_table, "keys": keys_table}
     return _MARKED.sub(lambda found: f"{found[1]}\n{kinds[found[2]](found[3])}\n\n{found[4]}", text)
 
 
@@ -137,6 +138,28 @@ def levels_table(name: str) -> str:
     head = [f"{policy} †" if find_policy(policy).oracle else policy for policy in policies]
     head = [f"{quantity}, {policy}" for quantity in ("B/s", "error") for policy in head] if what else head
     return _markdown(["level", "settings", "episodes", *head], rows)
+
+
+def learned_table(name: str) -> str:
+    """A Markdown table of what learned policies are worth beside others on the same seeds; "run" for a line of text."""
+    report = json.loads((ROOT / "docs" / "results" / "learned.json").read_text("utf-8"))
+    if name == "run":
+        return _run_line(report)
+    rows = []
+    for row in report["tables"][name]:
+        task = " ".join([row["scenario"], *(f"`{setting}={value}`" for setting, value in row["changes"].items())])
+        shares = [_percent(row[key]) for key in ("kept", "success")]
+        signed = [_percent(row[f"{key}_difference"], "+") for key in ("kept", "success")]
+        progress = [row["progress"], row["progress_against"]]
+        forward = ["-" if value is None else f"{value:.2f}" for value in progress]
+        rows.append([row["policy"], task, *shares, forward[0], row["against"], *signed, forward[1]])
+    head = ["policy", "flown on", "kept %", "success %", "progress"]
+    return _markdown([*head, "against", "kept, difference", "success, difference", "its progress"], rows)
+
+
+def _percent(estimate: list[float], sign: str = "") -> str:
+    value, low, high = (100 * number for number in estimate)
+    return f"{value:{sign}.1f} [{low:{sign}.1f}, {high:{sign}.1f}]"
 
 
 def _run_line(report: dict) -> str:

@@ -106,7 +106,7 @@ def test_it_flies_and_says_what_it_is(name):
 
 def test_order_of_the_table():
     names = "zero random follow springs omni both-look expert-no-yaw expert expert-flooding augmented".split()
-    names += ["recovery"]
+    names += ["cohesive", "recovery"]
     oracles = ["oracle", "oracle-all-seeing"]
     assert [name for name, kind in POLICIES.items() if not issubclass(kind, Learned)] == names + oracles
     assert [name for name in POLICIES if POLICIES[name].oracle] == oracles

@@ -40,8 +40,8 @@ class PPOSettings:
     entropy: float = 0.0
     max_norm: float = 0.5  # of a gradient
     reward: float = 0.1  # rewards are multiplied by it: an end weighs 50, a step 0.05
-    anchor: float = 1.0  # with a start: weight of the divergence from it, falls to 0 linearly ...
-    anchored: float = 1.0  # ... over this share of the training
+    anchor: float = 0.1  # with a start: weight of the divergence from it, falls to 0 linearly ...
+    anchored: float = 0.5  # ... over this share of the training
     critic_first: float = 0.05  # with a start: share of the training in which the critic learns alone
 
     def __post_init__(self) -> None:

@@ -26,7 +26,10 @@ class ResidualSettings(PPOSettings):
 
     base: str = "cohesive"
     bound: float = 0.3  # of 2.5 m/s and 1 rad/s
-    anchor: float = 0.1  # weight of the divergence from the law
+    learning_rate: float = 1e-3  # at the start; falls to 0 linearly
+    gamma: float = 0.995  # a step is 0.05 s: looks 10 s ahead
+    anchor: float = 0.03  # weight of the divergence from the law, falls to 0 linearly ...
+    anchored: float = 1.0  # ... over this share of the training
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -175,7 +175,7 @@ def residual_command(
 ) -> None:
     """PPO learns a bounded correction of a law's action; the first policy is the law itself.
 
-    fovconn train residual --steps 15000000 --out out/residual
+    fovconn train residual --steps 4000000 --out out/residual
     """
     from training.residual import Residual, ResidualSettings
 
