@@ -19,9 +19,10 @@ from stable_baselines3 import PPO
 from baselines import Cohesive, find_policy, load_policy
 from baselines.cards import BASES
 from baselines.inputs import OWN, ROW
-from baselines.learned import from_file
+from baselines.learned import from_file, silu
 from baselines.networks import FlatEncoder, SetEncoder
 from fovconn_env import PRESETS, Simulator, layout, scenario
+from fovconn_env.kernel.jit import entry
 from tests.helpers import recorded_actions
 from training import learning
 from training.bc import BC, BCSettings
@@ -115,6 +116,13 @@ def test_the_kernel_flies_what_torch_learned(kind, base, seen, tmp_path):
     law = inputs[:, 205:] if base else 0.0
     expected = law + 0.3 * output.clip(-1, 1) if base else output
     np.testing.assert_allclose(policy.decide(seen), np.clip(expected, -1, 1), atol=1e-5)
+
+
+def test_silu_by_a_quotient_of_polynomials():
+    x = np.linspace(-80.0, 80.0, 4001).astype(np.float32)
+    found, exact = x.copy(), x.astype(float) / (1.0 + np.exp(-x.astype(float)))
+    entry(lambda numbers: silu(numbers))(found)
+    assert (np.abs(found - exact) / (1.0 + np.abs(x))).max() < 3e-7
 
 
 def test_weights_go_out_and_come_back(tmp_path):
