@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fovconn_env import PRESETS
 from training.evaluation.flights import SHARES, evaluate
 from training.evaluation.results import SAMPLE
 
@@ -35,3 +36,55 @@ def test_the_first_episodes_come_out_as_published(row):
     for measure in SHARES:
         assert row["first"][measure] == episodes[measure].tolist(), measure
     np.testing.assert_allclose(row["first"]["duration"], episodes["duration"], rtol=0.05)  # rounding differs, see there
+
+
+def rows(table, policies=None):
+    """Rows of a table, of all policies or of some."""
+    return [row for row in RECORD["tables"][table] if policies is None or row["policy"] in policies]
+
+
+@pytest.mark.parametrize("row", rows("imitation", ("dagger", "dagger-1", "dagger-2")), ids=lambda row: row["policy"])
+def test_dagger_flies_as_the_expert(row):
+    assert row["kept_difference"][0] >= -0.01
+    assert row["success_difference"][0] >= -0.02
+    assert abs(row["progress"] / row["progress_against"] - 1.0) <= 0.03
+
+
+def test_imitation_alone_is_not_enough():
+    (clone,), (dagger,) = rows("imitation", ("bc",)), rows("imitation", ("dagger",))
+    assert dagger["kept"][1] > clone["kept"][2]
+    assert dagger["success"][1] > clone["success"][2]
+
+
+def test_one_network_flies_teams_of_other_sizes():
+    assert [row["changes"]["n_agents"] for row in rows("teams")] == [3, 4, 8, 12]
+    for row in rows("teams"):
+        assert row["kept"][0] >= 0.95 * row["kept_against"]
+
+
+@pytest.mark.parametrize("policy", ["residual", "residual-1", "residual-2", "ppo"])
+def test_learned_by_reward_it_is_faster_and_as_safe(policy):
+    (row,) = rows("reward", (policy,))
+    assert row["progress"] >= 1.8 * row["progress_against"]
+    assert row["kept_difference"][2] >= 0.0
+
+
+def test_one_policy_is_not_worse_than_augmented_anywhere():
+    presets = [row for row in rows("everywhere", ("residual",)) if not row["changes"]]
+    assert [row["scenario"] for row in presets] == list(PRESETS)
+    for row in presets:
+        assert row["success_difference"][1] >= -0.02, row["scenario"]
+    hard = {"LeaderObstacles-v0", "Corridor-v0", "NarrowCamera-v0", "LossyRadio-v0", "Blackout-v0"}
+    assert sum(row["success_difference"][1] > 0.0 for row in presets if row["scenario"] in hard) >= 2
+
+
+def test_where_the_expert_fails_it_keeps_four_of_five():
+    (row,) = [row for row in rows("everywhere", ("residual",)) if row["changes"].get("level") == 3]
+    assert row["kept"][0] >= 0.8
+
+
+def test_the_safety_filter_costs_nothing_and_helps_the_weak():
+    assert [row["policy"] for row in rows("filter")] == [f"safe:{policy}" for policy in SCRIPT["LEARNED"]]
+    for row in rows("filter"):
+        assert row["kept_difference"][1] >= -0.01, row["policy"]
+        assert row["kept_against"] == 1.0 or row["kept"][0] > row["kept_against"], row["policy"]
