@@ -7,6 +7,7 @@ import io
 import json
 import math
 import platform
+import shlex
 import subprocess
 import sys
 import time
@@ -320,7 +321,7 @@ def write_policy(
 ) -> None:
     """Write the policy with its card, and unless it goes to another `file` the SB3 model with it."""
     made = algorithm.recipe() | {"steps": algorithm.steps, "minutes": round(algorithm.seconds / 60.0, 1)}
-    made |= {"command": " ".join(["fovconn", *sys.argv[1:]]), "commit": commit(), "versions": versions()}
+    made |= {"command": shlex.join(["fovconn", *sys.argv[1:]]), "commit": commit(), "versions": versions()}
     if file is None:
         stream = io.BytesIO()
         algorithm.model.save(stream)
