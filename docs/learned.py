@@ -49,7 +49,7 @@ LEARNED = ("dagger", "bc", "ppo", "scratch", "residual")
 ROWS = {
     "imitation": [Row(policy, "expert", FOLLOW) for policy in IMITATING],
     "teams": [Row("dagger", "expert", FOLLOW, (("n_agents", n),)) for n in (3, 4, 8, 12)],
-    "reward": [Row(policy, "expert", FOLLOW) for policy in ("augmented", "cohesive", *CORRECTING, "ppo")]
+    "reward": [Row(policy, "expert", FOLLOW) for policy in ("augmented", "cohesive", *CORRECTING, "ppo", "ppo-1")]
     + [Row("scratch", law, FOLLOW) for law in ("follow", "springs")],
     "everywhere": [Row("residual", "augmented", name) for name in PRESETS]
     + [Row(policy, "augmented", name, level) for name, level in LEVELS for policy in ("cohesive", "residual")],
