@@ -36,12 +36,13 @@ test-integrations: $(LIBRARIES)/current/installed $(LIBRARIES)/older/installed  
 	$(LIBRARIES)/current/bin/python -m pytest tests/integrations tests/test_sb3.py tests/test_training.py tests/test_rerun.py $(ARGS)
 	$(LIBRARIES)/older/bin/python -m pytest tests/integrations $(ARGS)
 
-results: $(VENV)/installed-demo  ## fly all that docs/results.md and the README's table show (about 40 min), and write them
+results: $(VENV)/installed-demo  ## fly all that docs/results.md and the README's table show (about an hour), and write them
 	$(BIN)/fovconn eval --suite full --out out/results/full --json docs/results/full.json
 	$(BIN)/fovconn eval $(LONG) --seeds 0-999 --out out/results/thousand --json docs/results/thousand.json
 	$(BIN)/fovconn eval $(LONG) --seeds 0-999 --set stick_speed=2.5 --out out/results/fast --json docs/results/fast.json
 	$(BIN)/fovconn figures --ablations --seeds 0-319 --out out/results/ablations --json docs/results/ablations.json
 	$(BIN)/python docs/levels.py
+	$(BIN)/python docs/learned.py
 	cp out/results/ablations/ablations.png docs/images/
 	cp $(addprefix out/results/full/plots/,$(SHOWN)) docs/images/
 	$(BIN)/python docs/tables.py

@@ -43,7 +43,7 @@ class Row(NamedTuple):
 
 
 FOLLOW, LEVELS = "LeaderFollow-v0", [("LossyRadio-v0", (("level", level),)) for level in (3, 4)]
-IMITATING = ("dagger", "dagger-1", "dagger-2", "dagger-mlp", "bc")
+IMITATING = ("dagger", "dagger-1", "dagger-2", "bc")
 CORRECTING = ("residual", "residual-1", "residual-2")
 LEARNED = ("dagger", "bc", "ppo", "scratch", "residual")
 ROWS = {
