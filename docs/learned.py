@@ -1,6 +1,7 @@
 """Fly the learned policies beside the laws, and write docs/results/learned.json: `python docs/learned.py`.
 
-Finished flights are kept in out/. The tables of docs/training.md are made of the record by `python docs/tables.py`.
+Finished flights are kept in out/, and those of `make results` are found there. The tables of docs/training.md are made
+of the record by `python docs/tables.py`.
 Policies that have no name are flown from docs/results/weights: other training seeds, and those shown for comparison.
 """
 
@@ -45,12 +46,11 @@ class Row(NamedTuple):
 FOLLOW, LEVELS = "LeaderFollow-v0", [("LossyRadio-v0", (("level", level),)) for level in (3, 4)]
 IMITATING = ("dagger", "dagger-1", "dagger-2", "bc")
 CORRECTING = ("residual", "residual-1", "residual-2")
-LEARNED = ("dagger", "bc", "ppo", "scratch", "residual")
+LEARNED = ("dagger", "bc", "ppo", "residual")
 ROWS = {
     "imitation": [Row(policy, "expert", FOLLOW) for policy in IMITATING],
     "teams": [Row("dagger", "expert", FOLLOW, (("n_agents", n),)) for n in (3, 4, 8, 12)],
-    "reward": [Row(policy, "expert", FOLLOW) for policy in ("augmented", "cohesive", *CORRECTING, "ppo", "ppo-1")]
-    + [Row("scratch", law, FOLLOW) for law in ("follow", "springs")],
+    "reward": [Row(policy, "expert", FOLLOW) for policy in ("augmented", "cohesive", *CORRECTING, "ppo", "ppo-1")],
     "everywhere": [Row("residual", "augmented", name) for name in PRESETS]
     + [Row(policy, "augmented", name, level) for name, level in LEVELS for policy in ("cohesive", "residual")],
     "laws": [Row("residual", "cohesive", name) for name in PRESETS],
@@ -98,7 +98,7 @@ def main() -> None:
     def tell(done: float) -> None:
         print(f"\r{done:.0f} of {len(cells) * len(DEV_SEEDS)} flights", end="", file=sys.stderr, flush=True)
 
-    results = fly_cells(cells, DEV_SEEDS, folder=ROOT / "out" / "results" / "learned", progress=tell)
+    results = fly_cells(cells, DEV_SEEDS, folder=ROOT / "out" / "results" / "full" / "episodes", progress=tell)
     found = dict(zip(cells, results, strict=True))
     print("\nwrote", write_json(RECORD, record(found, time.perf_counter() - began)))
 

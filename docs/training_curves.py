@@ -47,7 +47,7 @@ def keep(run: Path) -> None:
 def draw(runs: dict[str, Curves]) -> Figure:
     """A panel for each score, a colour for each algorithm, a line for each training seed."""
     kinds = list(dict.fromkeys(_kind(name) for name in runs))
-    figure = style.page(7.5, 3.1)
+    figure = style.sheet(7.5, 3.1)
     panels = figure.subplots(1, len(PANELS))
     for axes, (score, title) in zip(panels, PANELS.items(), strict=True):
         for name, curves in runs.items():
