@@ -16,6 +16,7 @@ OWN, ROW, POINT = len(layout.SELF), len(layout.NEIGHBOR), len(layout.RANGE)
 ACTION = len(layout.ACTION)
 EMPHASIS = 2  # columns more of the own row, see `emphasis`
 LAMBDA2 = [column.name for column in layout.SELF].index("lambda2_hat")
+LEADER = [column.name for column in layout.SELF].index("is_leader")
 SHARE = 0.3  # of a sum over rows, so that three rows make about one
 
 # Bounds of the layout by scale, and columns that stay far within theirs. Constants: they do not follow N or a scenario.

@@ -2,7 +2,8 @@
 
 A policy is a file of weights and a card (`cards`); `training` makes them. A network's outputs are m/s and rad/s in
 units of `inputs.gain`. Alone they are the action; with a base law, its name on the card, they are a correction:
-action = clip(base action + gain bound clip(output, -1, 1), -1, 1), and the base's action is part of the own row.
+action = clip(base action + gain bound clip(output, -1, 1), -1, 1), and the base's action is part of the own row. The
+leader flies the base law: a correction may be larger than the stick, and would hold the team against the operator.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from baselines.cards import BASES, Card, read
-from baselines.inputs import ACTION, EMPHASIS, LAMBDA2, OWN, ROW, SHARE, gain, scales
+from baselines.inputs import ACTION, EMPHASIS, LAMBDA2, LEADER, OWN, ROW, SHARE, gain, scales
 from baselines.policy import Policy
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.scenarios import Scenario
@@ -98,7 +99,7 @@ class Learned(Policy):
             return np.clip(outputs * self._gain, -_ONE, _ONE)
         action = self._base.decide(flat)
         self._run(flat, action / self._gain, outputs)
-        return corrected(action, outputs, self._gain, self.card.bound)
+        return corrected(flat, action, outputs, self._gain, self.card.bound)
 
     def _run(self, flat: np.ndarray, base: np.ndarray, outputs: np.ndarray) -> None:
         if self.card.network == "mlp":
@@ -109,9 +110,10 @@ class Learned(Policy):
         )
 
 
-def corrected(action: np.ndarray, outputs: np.ndarray, unit: np.ndarray, bound: float) -> np.ndarray:
-    """A base law's actions (R, 4) with the network's corrections; unit (4,) is `inputs.gain`."""
-    return np.clip(action + unit * np.float32(bound) * np.clip(outputs, -_ONE, _ONE), -_ONE, _ONE)
+def corrected(flat: np.ndarray, action: np.ndarray, outputs: np.ndarray, unit: np.ndarray, bound: float) -> np.ndarray:
+    """A base law's actions (R, 4) with the network's corrections of all but leaders; unit (4,) is `inputs.gain`."""
+    bounds = np.where(flat[:, LEADER, None] > 0.0, np.float32(0.0), np.float32(bound))
+    return np.clip(action + unit * bounds * np.clip(outputs, -_ONE, _ONE), -_ONE, _ONE)
 
 
 def from_file(file: Path, name: str | None = None) -> type[Learned]:

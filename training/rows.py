@@ -156,7 +156,7 @@ class Rows(VecEnv):
         outputs, unit = self._actions[self.slices[k]], self.gains[k]
         if self._bases:
             base = self.observations[self.slices[k], -ACTION:] * unit
-            actions = corrected(base, outputs, unit, self.bound)
+            actions = corrected(self.observations[self.slices[k]], base, outputs, unit, self.bound)
         else:
             actions = np.clip(outputs * unit, -1.0, 1.0)
         return self._filters[k](self.flat(k), actions) if self._filters else actions
