@@ -90,8 +90,10 @@ def test_it_is_the_network(kind, seen, tmp_path):
     chosen = small(course=SETTLED)
     got = from_file(file)(chosen).decide(seen)
     if kind == "residual":
-        law = Augmented(chosen).decide(seen)
-        expected = law + 0.3 * np.clip(slow_output(file, seen, law.astype(float)), -1.0, 1.0)
+        law, led = Augmented(chosen).decide(seen), seen[:, inputs.LEADER, None] > 0
+        assert 0.2 < led.mean() < 0.3  # one of four
+        correction = 0.3 * np.clip(slow_output(file, seen, law.astype(float)), -1.0, 1.0)
+        expected = law + np.where(led, 0.0, correction)
     else:
         expected = slow_output(file, seen, np.zeros((len(seen), 0)))
     np.testing.assert_allclose(got, np.clip(expected, -1.0, 1.0), atol=1e-5)
@@ -168,6 +170,16 @@ def test_a_correction_is_bounded_and_zero_is_the_law(base, seen, tmp_path):
     arrays["action"][:], arrays["action_bias"][:] = 0.0, 0.0
     cards.write(file, arrays, network="set", base=base, bound=0.2, observation_size=205)
     np.testing.assert_array_equal(from_file(file)(chosen).decide(seen), law)
+
+
+def test_the_leader_is_never_corrected(seen, tmp_path):
+    """It flies what the person at the stick and the law want; the same observation is corrected in a follower."""
+    chosen, led = small(), seen.copy()
+    for is_leader in (1.0, 0.0):
+        led[:, inputs.LEADER] = is_leader
+        law = cards.BASES["cohesive"](chosen).decide(led)
+        moved = from_file(made(tmp_path, base="cohesive", bound=0.2))(chosen).decide(led) != law
+        assert moved.any() == (is_leader == 0.0)
 
 
 # -------------------------------------------------------------------------------------------------------- batch

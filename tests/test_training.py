@@ -18,7 +18,7 @@ from stable_baselines3 import PPO
 
 from baselines import Cohesive, find_policy, load_policy
 from baselines.cards import BASES
-from baselines.inputs import OWN, ROW
+from baselines.inputs import LEADER, OWN, ROW
 from baselines.learned import from_file, silu
 from baselines.networks import FlatEncoder, SetEncoder
 from fovconn_env import PRESETS, Simulator, layout, scenario
@@ -28,6 +28,7 @@ from training import learning
 from training.bc import BC, BCSettings
 from training.dagger import Dagger, DaggerSettings
 from training.datasets import record, save
+from training.evaluation import evaluate, summary
 from training.evaluation.campaign import Interrupted
 from training.learning import Budget, Network, layers, load_weights, make_model, mean_action, train, weights
 from training.ppo import PPOSettings, Team
@@ -113,8 +114,9 @@ def test_the_kernel_flies_what_torch_learned(kind, base, seen, tmp_path):
     inputs = rows._extended(seen, rows.slices[0])
     with torch.no_grad():
         output = mean_action(trained.policy, torch.from_numpy(inputs)).numpy()
-    law = inputs[:, 205:] if base else 0.0
-    expected = law + 0.3 * output.clip(-1, 1) if base else output
+    led = seen[:, LEADER, None] > 0
+    assert led.any()
+    expected = inputs[:, 205:] + np.where(led, 0.0, 0.3 * output.clip(-1, 1)) if base else output
     np.testing.assert_allclose(policy.decide(seen), np.clip(expected, -1, 1), atol=1e-5)
 
 
@@ -262,6 +264,20 @@ def test_the_folder_holds_what_is_promised(name, tmp_path):
     assert {"loss", "speed", "score/success", "score/never_disconnected"} <= names
     if name != "bc":
         assert {"return", "success", "connected", "collision"} <= names
+
+
+def test_a_score_is_the_mean_over_all_scenarios(tmp_path):
+    """One named twice counts twice; one without a stick has no progress to count."""
+    once, twice = scenario(**TINY), scenario(**{**TINY, "max_cycles": 60})
+    hovering = scenario(**TINY, leader="none")
+    tasks = [once, twice, twice, hovering]
+    trained = Residual(tasks, 3, ResidualSettings(n_worlds=4, n_steps=2, batch=24), SMALL, n_threads=1)
+    told = learning.score(trained, tmp_path, SEEDS)
+    shares = [summary(evaluate("cohesive", task, SEEDS))["progress"] for task in tasks]
+    assert np.isnan(shares[3])
+    assert shares[0] != shares[1]
+    assert told["progress"] == pytest.approx((shares[0] + 2.0 * shares[1]) / 3.0)
+    assert told["worth"] == told["never_disconnected"] + told["success"] + told["sct"]
 
 
 def test_dagger_learns_the_expert():
