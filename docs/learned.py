@@ -44,13 +44,14 @@ class Row(NamedTuple):
 
 
 FOLLOW, LEVELS = "LeaderFollow-v0", [("LossyRadio-v0", (("level", level),)) for level in (3, 4)]
-IMITATING = ("dagger", "dagger-1", "dagger-2", "bc")
+IMITATING = ("dagger", "dagger-1", "dagger-2", "dagger-mlp", "bc")
 CORRECTING = ("residual", "residual-1", "residual-2")
-LEARNED = ("dagger", "bc", "ppo", "residual")
+LEARNED = ("dagger", "bc", "scratch", "ppo", "residual")
 ROWS = {
     "imitation": [Row(policy, "expert", FOLLOW) for policy in IMITATING],
     "teams": [Row("dagger", "expert", FOLLOW, (("n_agents", n),)) for n in (3, 4, 8, 12)],
     "reward": [Row(policy, "expert", FOLLOW) for policy in ("augmented", "cohesive", *CORRECTING, "ppo", "ppo-1")],
+    "scratch": [Row("scratch", law, FOLLOW) for law in ("follow", "springs")],
     "everywhere": [Row("residual", "augmented", name) for name in PRESETS]
     + [Row(policy, "augmented", name, level) for name, level in LEVELS for policy in ("cohesive", "residual")],
     "laws": [Row("residual", "cohesive", name) for name in PRESETS],

@@ -45,7 +45,7 @@ def keep(run: Path) -> None:
 
 @matplotlib.rc_context(style.RC)
 def draw(runs: dict[str, Curves]) -> Figure:
-    """A panel for each score, a colour for each algorithm, a line for each training seed."""
+    """A panel for each score, a colour for each algorithm, a line for each training seed; all to their ends."""
     kinds = list(dict.fromkeys(_kind(name) for name in runs))
     figure = style.sheet(7.5, 3.1)
     panels = figure.subplots(1, len(PANELS))
@@ -55,16 +55,16 @@ def draw(runs: dict[str, Curves]) -> Figure:
             first = name == next(other for other in runs if _kind(other) == _kind(name))
             steps, values = zip(*curves[score], strict=True)
             axes.plot(
-                [step / 1e6 for step in steps],
+                [100.0 * step / steps[-1] for step in steps],
                 values,
                 color=style.FOLLOWERS[number % len(style.FOLLOWERS)],
                 ls=("-", "--", "-.", ":")[number // len(style.FOLLOWERS)],
                 marker="o",
                 ms=2.5,
                 lw=1.2,
-                label=_kind(name) if first else None,
+                label=f"{_kind(name)}, {steps[-1] / 1e6:.1f} million" if first else None,
             )
-        axes.set(title=title, xlabel="million robot steps", xlim=(0, None))
+        axes.set(title=title, xlabel="% of the robot steps", xlim=(0, 103))
         axes.set_ylim(0, 1.05 if score != "score/progress" else None)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
