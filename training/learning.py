@@ -31,6 +31,7 @@ import fovconn_env
 from baselines.cards import SUFFIX, replace, write
 from baselines.learned import Encoder, Head, from_file
 from baselines.networks import ENCODERS
+from baselines.safety import safe
 from fovconn_env import Scenario
 from fovconn_env.settings import check_count, rule
 from training import archives
@@ -147,6 +148,7 @@ class Algorithm(ABC):
     name: ClassVar[str]
     base: str | None = None  # law that the network corrects
     bound: float = 0.0
+    filtered: bool = False  # by the safety filter, in training and when it is scored
 
     def __init__(self, model: PPO, scenarios: Sequence[Scenario], seed: int, settings: Any, network: Network) -> None:
         self.model, self.scenarios, self.seed, self.settings, self.network = model, scenarios, seed, settings, network
@@ -306,8 +308,9 @@ def score(algorithm: Algorithm, folder: Path, seeds: Sequence[int]) -> dict[str,
     trial = folder / f"trial{SUFFIX}"
     write_policy(algorithm, folder, {}, (), file=trial)
     tasks = list(dict.fromkeys(algorithm.scenarios))
+    flier = safe(from_file(trial)) if algorithm.filtered else from_file(trial)
     with ThreadPoolExecutor(torch.get_num_threads()) as pool:  # kernels leave the GIL
-        flown = dict(zip(tasks, pool.map(lambda task: evaluate(from_file(trial), task, seeds), tasks), strict=True))
+        flown = dict(zip(tasks, pool.map(lambda task: evaluate(flier, task, seeds), tasks), strict=True))
     results = [summary(flown[scenario]) for scenario in algorithm.scenarios]
     for file in (trial, trial.with_suffix(".json")):
         file.unlink()
