@@ -280,6 +280,20 @@ def test_a_score_is_the_mean_over_all_scenarios(tmp_path):
     assert told["worth"] == told["never_disconnected"] + told["success"] + told["sct"]
 
 
+def test_a_policy_trained_with_the_filter_is_scored_with_it(tmp_path):
+    """Each robot flies straight ahead, away from the others; the filter holds them back."""
+    chosen = scenario(**{**TINY, "max_cycles": 120})
+    trained = Team([chosen], 3, PPOSettings(n_worlds=1, n_steps=2, batch=6), SMALL, filtered=True, n_threads=1)
+    with torch.no_grad():
+        trained.policy.action_net.bias.copy_(torch.tensor([0.5, 0.0, 0.0, 0.0]))
+    told = learning.score(trained, tmp_path, SEEDS)
+    learning.write_policy(trained, tmp_path, {}, ())
+    file = str(tmp_path / "ppo.safetensors")
+    alone, held = (summary(evaluate(policy, chosen, SEEDS)) for policy in (file, f"safe:{file}"))
+    assert told["progress"] == held["progress"]
+    assert abs(alone["progress"] - held["progress"]) > 0.05
+
+
 def test_dagger_learns_the_expert():
     """Two seconds take off half of the mean action, on the states the learner got into."""
     settings = DaggerSettings(n_worlds=4, n_steps=40, n_updates=60, batch=128, capacity=5000, learning_rate=3e-3)
