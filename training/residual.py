@@ -1,8 +1,8 @@
 """Residual PPO (Johannink et al., ICRA 2019): a law flies, and PPO learns a bounded correction of its action.
 
-action = law + bound clip(network, -1, 1), the leader's is the law's alone (`baselines.learned`). The network sees the
-law's action as part of its own row, and starts at a correction of zero: the first policy is the law, and no later one is
-farther from it than the bound.
+action = law + bound clip(network, -1, 1), the leader's is the law's alone (`baselines.learned`). The network sees
+the law's action as part of its own row, and starts at a correction of zero: the first policy is the law, and no later
+one is farther from it than the bound.
 """
 
 from __future__ import annotations
