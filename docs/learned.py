@@ -51,7 +51,7 @@ ROWS = {
     "imitation": [Row(policy, "expert", FOLLOW) for policy in IMITATING],
     "teams": [Row("dagger", "expert", FOLLOW, (("n_agents", n),)) for n in (3, 4, 8, 12)],
     "reward": [Row(policy, "expert", FOLLOW) for policy in ("augmented", "cohesive", *CORRECTING, "ppo", "ppo-1")],
-    "scratch": [Row("scratch", law, FOLLOW) for law in ("follow", "springs")],
+    "scratch": [Row(policy, law, FOLLOW) for policy in ("scratch", "safe:scratch") for law in ("follow", "springs")],
     "everywhere": [Row("residual", "augmented", name) for name in PRESETS]
     + [Row(policy, "augmented", name, level) for name, level in LEVELS for policy in ("cohesive", "residual")],
     "laws": [Row("residual", "cohesive", name) for name in PRESETS],

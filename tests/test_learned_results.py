@@ -69,11 +69,19 @@ def test_learned_by_reward_it_is_faster_and_as_safe(policy):
     assert row["kept_difference"][2] >= 0.0
 
 
-def test_one_policy_is_worse_than_augmented_in_one_scenario_alone():
+def test_ppo_from_scratch_is_told_as_it_is():
+    """It was to succeed more often than both laws, which it misses: with the filter, as often as one, less than one."""
+    found = {(row["policy"], row["against"]): row for row in rows("scratch")}
+    assert all(row["progress"] > row["progress_against"] for row in found.values())
+    assert found["safe:scratch", "follow"]["kept_difference"][1] > 0.0
+    assert found["safe:scratch", "follow"]["success_difference"][0] == 0.0
+    assert found["safe:scratch", "springs"]["success_difference"][2] < 0.0
+
+
+def test_one_policy_is_not_worse_than_augmented_anywhere():
     presets = [row for row in rows("everywhere", ("residual",)) if not row["changes"]]
     assert [row["scenario"] for row in presets] == list(PRESETS)
-    worse = {row["scenario"] for row in presets if row["success_difference"][1] < -0.02}
-    assert worse == {"YawTrap-v0"}  # a miss: docs/training.md tells by how much and why
+    assert all(row["success_difference"][1] >= -0.02 for row in presets)
     hard = {"LeaderObstacles-v0", "Corridor-v0", "NarrowCamera-v0", "LossyRadio-v0", "Blackout-v0"}
     assert sum(row["success_difference"][1] > 0.0 for row in presets if row["scenario"] in hard) >= 2
 
