@@ -33,7 +33,7 @@ test-fast: $(VENV)/installed-test  ## the suite without its long statistics
 	$(PYTEST) -m "not slow" $(ARGS)
 
 test-integrations: $(LIBRARIES)/current/installed $(LIBRARIES)/older/installed  ## docs/examples, each with its library (torch, 3 GB)
-	$(LIBRARIES)/current/bin/python -m pytest tests/integrations tests/test_sb3.py tests/test_training.py tests/test_rerun.py $(ARGS)
+	$(LIBRARIES)/current/bin/python -m pytest tests/integrations tests/training/test_sb3.py tests/training/test_training.py tests/render/test_rerun.py $(ARGS)
 	$(LIBRARIES)/older/bin/python -m pytest tests/integrations $(ARGS)
 
 results: $(VENV)/installed-demo  ## fly all that docs/results.md and the README's table show (about an hour), and write them
@@ -41,15 +41,16 @@ results: $(VENV)/installed-demo  ## fly all that docs/results.md and the README'
 	$(BIN)/fovconn eval $(LONG) --seeds 0-999 --out out/results/thousand --json docs/results/thousand.json
 	$(BIN)/fovconn eval $(LONG) --seeds 0-999 --set stick_speed=2.5 --out out/results/fast --json docs/results/fast.json
 	$(BIN)/fovconn figures --ablations --seeds 0-319 --out out/results/ablations --json docs/results/ablations.json
-	$(BIN)/python docs/levels.py
-	$(BIN)/python docs/learned.py
+	$(BIN)/python -m fovconn_env.training.evaluation.levels
+	$(BIN)/python -m fovconn_env.training.evaluation.learned_study
 	cp out/results/ablations/ablations.png docs/images/
 	cp $(addprefix out/results/full/plots/,$(SHOWN)) docs/images/
 	$(BIN)/python docs/tables.py
 
-lint: $(VENV)/installed-dev  ## ruff (rules and format) and pyright
+lint: $(VENV)/installed-dev  ## ruff (rules and format), the direction of imports, and pyright
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 format: $(VENV)/installed-dev  ## let ruff format the code and sort the imports

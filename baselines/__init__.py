@@ -1,10 +1,14 @@
 """Policies: the paper's controller, and those it is compared with. `load_policy(name, env)` makes one."""
 
-from baselines.augmented import Augmented, AugmentedGains
-from baselines.cohesive import Cohesive, CohesiveGains
-from baselines.expert import Expert, Gains
-from baselines.policy import Policy
-from baselines.registry import POLICIES, find_policy, load_policy
+if __name__ == "baselines":  # found in a clone's root: a second copy of every class would follow
+    raise ImportError("write `from fovconn_env import baselines`, not `import baselines`: it is a part of fovconn_env")
+
+
+from fovconn_env.baselines.laws.augmented import Augmented, AugmentedGains
+from fovconn_env.baselines.laws.cohesive import Cohesive, CohesiveGains
+from fovconn_env.baselines.laws.expert import Expert, Gains
+from fovconn_env.baselines.policy import Policy
+from fovconn_env.baselines.registry import POLICIES, find_policy, load_policy
 
 __all__ = [
     "POLICIES",

@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fovconn_env import scenarios
 from fovconn_env.layout import Rows, rows
-from fovconn_env.scenarios import Scenario
+from fovconn_env.scenarios import presets
+from fovconn_env.scenarios.presets import Scenario
 
 Observation = Mapping[str, np.ndarray] | np.ndarray
 
@@ -41,7 +41,7 @@ class Policy(ABC):
     @classmethod
     def equip(cls, base: str | Scenario) -> Scenario:
         """A scenario, or that of an id, with this policy's `overrides`: what its team flies with."""
-        return scenarios.scenario(base, **cls.overrides)
+        return presets.scenario(base, **cls.overrides)
 
     @classmethod
     def tag(cls) -> str:

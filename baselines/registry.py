@@ -11,16 +11,16 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from baselines.ablations import AllSeeing, BothLook, Flooding, NoYaw, Omni, Oracle
-from baselines.augmented import Augmented
-from baselines.cards import FOLDER, SUFFIX
-from baselines.cohesive import Cohesive
-from baselines.expert import Expert
-from baselines.learned import from_file
-from baselines.policy import Policy, scenario_of
-from baselines.recovery import Recovery
-from baselines.safety import PREFIX, safe
-from baselines.simple import Follow, Random, Springs, Zero
+from fovconn_env.baselines.laws.ablations import AllSeeing, BothLook, Flooding, NoYaw, Omni, Oracle
+from fovconn_env.baselines.laws.augmented import Augmented
+from fovconn_env.baselines.laws.cohesive import Cohesive
+from fovconn_env.baselines.laws.expert import Expert
+from fovconn_env.baselines.laws.recovery import Recovery
+from fovconn_env.baselines.laws.safety import PREFIX, safe
+from fovconn_env.baselines.laws.simple import Follow, Random, Springs, Zero
+from fovconn_env.baselines.learned.cards import FOLDER, SUFFIX
+from fovconn_env.baselines.learned.policy import from_file
+from fovconn_env.baselines.policy import Policy, scenario_of
 
 POLICIES: dict[str, type[Policy]] = {
     "zero": Zero,

@@ -14,10 +14,10 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # runs from a clone without 
 
 from PIL import Image
 
-from baselines import find_policy, load_policy
 from fovconn_env import scenario
-from fovconn_env.flight import fly
-from fovconn_env.render.page import write_page
+from fovconn_env.baselines import find_policy, load_policy
+from fovconn_env.flights.flight import fly
+from fovconn_env.render.page.web_page import write_page
 from tests.chromium import Browser
 
 PICTURE = Path(__file__).parent / "images" / "flight_page.png"

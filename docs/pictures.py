@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from fovconn_env import PRESETS, Scenario, Simulator, scenario
-from fovconn_env.render import style
-from fovconn_env.render.scene import Scene, draw_ground
+from fovconn_env.render.figures import style
+from fovconn_env.render.figures.scene import Scene, draw_ground
 
 FOLDER = Path(__file__).parent / "images" / "scenarios"
 LEVEL = {"ScaleUp-v0": 3, "NarrowCamera-v0": 2, "Corridor-v0": 2}  # where that tells more than the first

@@ -11,9 +11,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # runs from a clone without 
 import numpy as np
 import pygame
 
-from fovconn_env.render.gif import write_gif
-from training.play.cockpit import Cockpit
-from training.play.session import Session
+from fovconn_env.render.figures.gif import write_gif
+from fovconn_env.training.play.cockpit import Cockpit
+from fovconn_env.training.play.session import Session
 
 FOLDER = Path(__file__).parent / "images"
 STEP, EVERY = 0.05, 3  # s; steps from one picture of the animation to the next

@@ -4,9 +4,9 @@ A table stands between `<!-- KIND:NAME -->` and `<!-- end -->`. KIND is `layout`
 `layout:scales`, what the named bounds are), `settings` (fields of a settings class, with the comment beside each),
 `bench` (rates, bars or machine of docs/benchmark.json, which `fovconn bench --json` writes), `results`
 (a table of a record in docs/results, which `make results` writes), `levels` (of one scenario, from
-docs/results/levels.json, which docs/levels.py writes), `learned` (a table of docs/results/learned.json, which
-docs/learned.py writes) or `keys` (of `fovconn play`, one group of its key table, `mouse`
-or `gamepad`).
+docs/results/levels.json, which training/evaluation/levels.py writes), `learned` (a table of
+docs/results/learned.json, which training/evaluation/learned_study.py writes) or `keys` (of `fovconn play`, one group of
+its key table, `mouse` or `gamepad`).
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # runs from a clone without an install, too
 
-from baselines import Gains, find_policy
-from fovconn_env import layout, scenarios, settings
+from fovconn_env import layout
+from fovconn_env.baselines import Gains, find_policy
 from fovconn_env.layout import Column
-from training.bench.report import bar_table, machine_line, rate_table, restless
-from training.play import gamepad, keyboard
+from fovconn_env.scenarios import presets, settings
+from fovconn_env.training.bench.report import bar_table, machine_line, rate_table, restless
+from fovconn_env.training.play import gamepad, keyboard
 
 ROOT = Path(__file__).parents[1]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -62,7 +63,7 @@ def keys_table(name: str) -> str:
 def layout_table(name: str) -> str:
     """The Markdown table of a layout table; the columns of one vector share a row."""
     if name == "scales":
-        values = scenarios.Scenario().scales()
+        values = presets.Scenario().scales()
         rows = [[f"`{scale}`", f"`{rule}`", f"{values[scale]:g}"] for scale, rule in SCALES.items()]
         return _markdown(["bound", "setting", "by default"], rows)
     if name == "LOST_LINK":
@@ -82,7 +83,7 @@ def layout_table(name: str) -> str:
 
 def settings_table(name: str) -> str:
     """The Markdown table of a settings class, from its source: field, default, choices or comment."""
-    kind = {"Gains": Gains, "Scenario": scenarios.Scenario}.get(name) or getattr(settings, name)
+    kind = {"Gains": Gains, "Scenario": presets.Scenario}.get(name) or getattr(settings, name)
     rows = []
     for field, annotation, default, comment in _FIELD.findall(inspect.getsource(kind)):
         factory = re.fullmatch(r"field\(default_factory=(\w+)\)", default)
@@ -177,7 +178,7 @@ def _vector(column: Column) -> tuple:
 
 
 def _interval(column: Column) -> str:
-    scales = scenarios.Scenario().scales()
+    scales = presets.Scenario().scales()
     low, high = (
         scales[bound.removeprefix("-")] * (-1 if bound.startswith("-") else 1) if isinstance(bound, str) else bound
         for bound in (column.low, column.high)

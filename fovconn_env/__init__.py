@@ -11,15 +11,14 @@ from functools import partial
 import gymnasium
 import pettingzoo
 
-from fovconn_env.corridor import Corridor
-from fovconn_env.flight import Flight
-from fovconn_env.graph import Graph
-from fovconn_env.leader import Recorded
-from fovconn_env.maps import Forest, Map
-from fovconn_env.parallel import ParallelEnv, env, parallel_env, raw_env
-from fovconn_env.recording import Recorder, Recording
-from fovconn_env.scenarios import LEVELS, PRESETS, Scenario, scenario
-from fovconn_env.settings import (
+from fovconn_env.envs.parallel import ParallelEnv, env, parallel_env, raw_env
+from fovconn_env.flights.flight import Flight
+from fovconn_env.flights.recording import Recorder, Recording
+from fovconn_env.maps.corridor import Corridor
+from fovconn_env.maps.obstacles import Forest, Map
+from fovconn_env.scenarios.leader import Recorded
+from fovconn_env.scenarios.presets import LEVELS, PRESETS, Scenario, scenario
+from fovconn_env.scenarios.settings import (
     Airframe,
     Camera,
     Clock,
@@ -34,7 +33,8 @@ from fovconn_env.settings import (
     Start,
     YawEstimator,
 )
-from fovconn_env.simulator import Simulator
+from fovconn_env.sim.graph import Graph
+from fovconn_env.sim.simulator import Simulator
 from fovconn_env.version import __version__
 
 __all__ = [
@@ -79,7 +79,7 @@ if hasattr(pettingzoo, "register"):  # from PettingZoo 1.27 on
 for _name in PRESETS:
     gymnasium.register(
         f"fovconn/{_name}",
-        entry_point="fovconn_env.joint:JointEnv",
-        vector_entry_point="fovconn_env.vector:VectorEnv",
+        entry_point="fovconn_env.envs.joint:JointEnv",
+        vector_entry_point="fovconn_env.envs.vector:VectorEnv",
         kwargs={"base": _name},
     )

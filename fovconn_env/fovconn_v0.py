@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from fovconn_env.parallel import env, parallel_env, raw_env
+from fovconn_env.envs.parallel import env, parallel_env, raw_env
 
 __all__ = ["env", "parallel_env", "raw_env"]

@@ -13,7 +13,7 @@ os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
 @pytest.fixture
 def fovconn(monkeypatch, capsys, tmp_path):
     """Run the command in this process: status, stdout, stderr."""
-    from training import cli  # not at the top: the libraries' environments have no rich
+    from fovconn_env.training import cli  # not at the top: the libraries' environments have no rich
 
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.chdir(tmp_path)

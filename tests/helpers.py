@@ -9,12 +9,13 @@ import numpy as np
 from numba.core import config
 
 from fovconn_env import layout
-from fovconn_env.kernel import spectrum, types
+from fovconn_env.kernel import records
 from fovconn_env.kernel.jit import entry
-from fovconn_env.scenarios import Scenario, scenario
-from fovconn_env.settings import Course
-from fovconn_env.simulator import Simulator
-from fovconn_env.world import place
+from fovconn_env.kernel.maths import spectrum
+from fovconn_env.scenarios.presets import Scenario, scenario
+from fovconn_env.scenarios.settings import Course
+from fovconn_env.sim.simulator import Simulator
+from fovconn_env.sim.starts import place
 from tests import reference as ref
 
 JIT = not config.DISABLE_JIT
@@ -43,7 +44,7 @@ def _fiedler(laplacian, v2, scratch):
     return spectrum.fiedler(laplacian, v2, scratch)
 
 
-def records(kind: np.dtype, count: int | tuple[int, ...] = 1, **fields) -> np.ndarray:
+def filled(kind: np.dtype, count: int | tuple[int, ...] = 1, **fields) -> np.ndarray:
     """Zeroed records of a kind with some fields filled."""
     array = np.zeros(count, kind)
     for name, value in fields.items():
@@ -66,7 +67,7 @@ def draw_team(rng: np.random.Generator, n: int, *, box=(9.0, 9.0, 3.0), tilt: fl
 
 def bodies_of(team: list[ref.Pose], camera) -> np.ndarray:
     """BODY records (N,) at rest at these poses; optical axes tilted."""
-    bodies = np.zeros(len(team), types.BODY)
+    bodies = np.zeros(len(team), records.BODY)
     place(bodies, np.array([[*pose.p, pose.yaw] for pose in team]))
     bodies["cos_yaw"], bodies["sin_yaw"] = np.cos(bodies["yaw"]), np.sin(bodies["yaw"])
     for body, pose in zip(bodies, team, strict=True):

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from fovconn_env.flight import Flight
-from fovconn_env.kernel.types import PIECE
-from fovconn_env.maps import Map
-from fovconn_env.scenarios import scenario
+from fovconn_env.flights.flight import Flight
+from fovconn_env.kernel.records import PIECE
+from fovconn_env.maps.obstacles import Map
+from fovconn_env.scenarios.presets import scenario
 
 STEPS = 80
 GROUND = (

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines import POLICIES, Gains
 from fovconn_env import PRESETS, Scenario, Simulator, layout, scenario
-from fovconn_env.kernel import types
-from fovconn_env.metrics import ERRORS, Meter
+from fovconn_env.baselines import POLICIES, Gains
+from fovconn_env.flights.metrics import ERRORS, Meter
+from fovconn_env.kernel import records
 
 ROOT = Path(__file__).parents[1]
 PAGES = {str(page.relative_to(ROOT)): page for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))}
@@ -63,7 +63,7 @@ def test_examples_run(page, tmp_path, monkeypatch):
     for name, preset in PRESETS.items():
         monkeypatch.setitem(PRESETS, name, dataclasses.replace(preset, max_cycles=20, warmup=1.0))
     policies = dict(POLICIES)
-    for module in ("baselines", "baselines.registry"):  # an example may add to them
+    for module in ("fovconn_env.baselines", "fovconn_env.baselines.registry"):  # an example may add to them
         monkeypatch.setattr(f"{module}.POLICIES", policies)
     monkeypatch.chdir(tmp_path)
     namespace = {"__name__": "example"}
@@ -83,9 +83,9 @@ def test_readme_has_the_examples_it_promises():
 @pytest.mark.parametrize("arguments", commands("fovconn"), ids=" ".join)
 def test_commands_parse(arguments):
     typer_main = pytest.importorskip("typer.main")
-    from training.cli import app
-    from training.commands.options import parse
-    from training.evaluation.campaign import parse_seeds, suite
+    from fovconn_env.training.cli import app
+    from fovconn_env.training.commands.options import parse
+    from fovconn_env.training.evaluation.campaign import parse_seeds, suite
 
     command = typer_main.get_command(app).commands[arguments[0]]
     values = command.make_context(arguments[0], arguments[1:]).params
@@ -186,7 +186,7 @@ def resolve(name: str) -> object:
         return getattr(Gains(), field)
     if group.isupper():
         table = getattr(layout, group, None)
-        fields = [column.name for column in table] if table else getattr(types, group).names
+        fields = [column.name for column in table] if table else getattr(records, group).names
         return fields.index(field)
     value = scenario()
     for part in name.split("."):
@@ -207,11 +207,12 @@ def test_functions_in_the_symbol_table_exist():
     found = [link for row in symbols() for link in re.findall(r"\[`(\w+)`\]\(([\w/]+)\.py\)", row[4])]
     assert len(found) > 15
     for function, file in found:
-        assert callable(getattr(importlib.import_module(file.replace("/", ".")), function))
+        module = file.removeprefix("fovconn_env/").replace("/", ".")
+        assert callable(getattr(importlib.import_module(f"fovconn_env.{module}"), function))
 
 
 def test_every_measure_is_defined():
-    from training.evaluation import evaluate, summary
+    from fovconn_env.training.evaluation import evaluate, summary
 
     chosen = scenario(n_agents=2, max_cycles=1, warmup=0.0)
     simulator = Simulator(chosen)

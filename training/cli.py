@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 import fovconn_env
-from training.commands import bench, demo, evaluate, figures, play, replay, train
-from training.commands.screen import err, out
-from training.evaluation.campaign import Interrupted
+from fovconn_env.training.commands import bench, demo, evaluate, figures, play, replay, train
+from fovconn_env.training.commands.screen import err, out
+from fovconn_env.training.evaluation.campaign import Interrupted
 
 app = typer.Typer(
     no_args_is_help=True,

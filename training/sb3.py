@@ -13,7 +13,7 @@ from stable_baselines3.common.utils import safe_mean
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
 from fovconn_env import Scenario, Simulator, layout, scenario
-from fovconn_env.settings import as_numbers
+from fovconn_env.errors import as_numbers
 
 EPISODE_KEYS = ("success", "connected", "collision")  # reach VecMonitor's episode infos, see `EpisodeLog`
 

@@ -13,7 +13,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from baselines import load_policy
+from fovconn_env.baselines import load_policy
 
 Act = Callable[[np.ndarray], np.ndarray]  # observations (B, N, D) -> actions (B, N, 4)
 

@@ -16,7 +16,7 @@ import numpy as np
 from stable_baselines3 import PPO
 
 import fovconn_env
-from training.sb3 import EpisodeLog, make_vec_env
+from fovconn_env.training.sb3 import EpisodeLog, make_vec_env
 
 TEST_SEEDS = range(1_000_000, 1_000_020)  # world b trains from seed + b on: these are far away
 

@@ -1,7 +1,7 @@
 """SuperSuit: the PettingZoo environment as a Stable-Baselines3 VecEnv, for those whose code does it this way.
 
-`training.sb3.make_vec_env` (see sb3_ppo.py) gives the same rows and is much faster: it steps all worlds in one call.
-SuperSuit steps them one by one and builds dicts in between.
+`fovconn_env.training.sb3.make_vec_env` (see sb3_ppo.py) gives the same rows and is much faster: it steps all
+worlds in one call. SuperSuit steps them one by one and builds dicts in between.
 
     pip install -e ".[learn]" -c constraints.txt && pip install supersuit
     python docs/examples/supersuit_sb3.py --robot-steps 100000

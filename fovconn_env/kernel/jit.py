@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
@@ -24,7 +24,8 @@ P = ParamSpec("P")
 R = TypeVar("R")
 # No array is made by a kernel, so references need not be counted; counting them takes a twelfth of a step.
 _OPTIONS: dict[str, Any] = {"fastmath": False, "_nrt": False}
-_SOURCES = sorted(Path(__file__).parent.glob("*.py"))
+_PACKAGE = Path(__file__).parents[1]
+_MARK = b"fovconn_env.kernel.jit import"  # stands in every file that holds compiled code
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
@@ -42,9 +43,8 @@ def entry(function: Callable[P, R]) -> Callable[P, R]:
                 return function(*args, **kwargs)
 
         return plain
-    # numba looks only at the file of the function itself: a folder named by the hash of every kernel source, and of
-    # the files beside it, makes an edit elsewhere visible. The folder is read while decorating, so the user's own
-    # setting is put back.
+    # numba looks only at the file of the function itself: a folder named by the hash of all compiled code that it may
+    # call makes an edit elsewhere visible. The folder is read while decorating, so the user's own setting is put back.
     before, config.CACHE_DIR = config.CACHE_DIR, str(_cache_folder(Path(inspect.getfile(function))))
     try:
         return cast("Callable[P, R]", numba.njit(function, cache=True, nogil=True, **_OPTIONS))
@@ -52,14 +52,31 @@ def entry(function: Callable[P, R]) -> Callable[P, R]:
         config.CACHE_DIR = before
 
 
-def source_hash(beside: tuple[Path, ...] = ()) -> str:
-    """Sixteen letters that change with the source of any kernel, of the layout, and of the files `beside` them."""
+def source_hash(beside: Sequence[Path] = ()) -> str:
+    """Sixteen letters that change with the layout, with any file of the kernel, and with the files `beside` them."""
     digest = hashlib.sha256()
-    for file in (*_SOURCES, Path(__file__).parents[1] / "layout.py", *beside):
+    for file in (_PACKAGE / "layout.py", *_python_files(_PACKAGE / "kernel"), *beside):
         digest.update(file.read_bytes())
     return digest.hexdigest()[:16]
 
 
 def _cache_folder(source: Path) -> Path:
+    """Folder of the compiled code of a file, named by the source of all compiled code that it may call."""
     root = Path(config.CACHE_DIR) if config.CACHE_DIR else Path(platformdirs.user_cache_dir("fovconn_env"))
-    return root / source_hash(tuple(sorted(source.parent.glob("*.py"))))
+    return root / source_hash(compiled_files(source))
+
+
+def compiled_files(source: Path) -> list[Path]:
+    """Files beside `source`, a file with compiled code, that hold some, too.
+
+    In this package those of the same wing (`baselines`, `render`, ...), in all its folders; elsewhere the whole folder.
+    """
+    if _PACKAGE not in source.parents:
+        return sorted(source.parent.glob("*.py"))
+    wing = _PACKAGE / source.relative_to(_PACKAGE).parts[0]
+    return [file for file in _python_files(wing) if _MARK in file.read_bytes()]
+
+
+def _python_files(folder: Path) -> list[Path]:
+    """All .py files below a folder, which may itself be a link."""
+    return sorted(folder.rglob("*.py"))

@@ -7,22 +7,23 @@ slices and nothing else.
 from __future__ import annotations
 
 from fovconn_env import layout
-from fovconn_env.kernel import lambda2_estimator, random, yaw_estimator
-from fovconn_env.kernel.camera import feel, list_near, look, muster, see
-from fovconn_env.kernel.faults import cut, repair, wear
-from fovconn_env.kernel.flooding import assemble, enter, merge, put, solve
-from fovconn_env.kernel.geometry import clearance
 from fovconn_env.kernel.jit import entry, kernel
-from fovconn_env.kernel.judge import connectivity, end, reward, tell, weigh
-from fovconn_env.kernel.kinematic import command, glide, stand, steady
-from fovconn_env.kernel.lambda2_estimator import agree, awaken, conclude, know, power_round
-from fovconn_env.kernel.liveness import hear_beats, share_there, tell_beats
-from fovconn_env.kernel.observe import clip, observe_neighbors, observe_self
-from fovconn_env.kernel.pilot import NOBODY, steer
-from fovconn_env.kernel.quadrotor import fly, hover
-from fovconn_env.kernel.radio import address, announce, receive, transmit
-from fovconn_env.kernel.rangefinder import scan
-from fovconn_env.kernel.yaw_estimator import attend, estimate_yaw, reckon
+from fovconn_env.kernel.maths import random
+from fovconn_env.kernel.maths.geometry import clearance
+from fovconn_env.kernel.onboard import power_iteration, relative_yaw
+from fovconn_env.kernel.onboard.flooding import assemble, enter, merge, put, solve
+from fovconn_env.kernel.onboard.liveness import hear_beats, share_there, tell_beats
+from fovconn_env.kernel.onboard.observation import clip, observe_neighbors, observe_self
+from fovconn_env.kernel.onboard.power_iteration import agree, awaken, conclude, know, power_round
+from fovconn_env.kernel.onboard.relative_yaw import attend, estimate_yaw, reckon
+from fovconn_env.kernel.world.camera import feel, list_near, look, muster, see
+from fovconn_env.kernel.world.faults import cut, repair, wear
+from fovconn_env.kernel.world.kinematics import command, glide, stand, steady
+from fovconn_env.kernel.world.operator import NOBODY, steer
+from fovconn_env.kernel.world.outcome import connectivity, end, reward, tell, weigh
+from fovconn_env.kernel.world.quadrotor import fly, hover
+from fovconn_env.kernel.world.radio import address, announce, receive, transmit
+from fovconn_env.kernel.world.rangefinder import scan
 
 ADVANCE, BEGIN = range(2)
 KINEMATIC, QUADROTOR = range(2)  # scenarios.SWITCHES["dynamics"]
@@ -74,7 +75,7 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
             if tick == ticks - 1:
                 episode.n_edges = weigh(pairs, infos, p)
                 episode.lambda2 = connectivity(bodies, pairs, v2, scratch.laplacian, scratch.spectrum)
-                if p.lambda2 == lambda2_estimator.TRUE:
+                if p.lambda2 == power_iteration.TRUE:
                     reveal_lambda2(beliefs, episode.lambda2, v2)
             sense(bodies, pairs, own, sights, tracks, who, whom, first_of[n], episode, p)
             for k in range(p.rounds):
@@ -83,7 +84,7 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
                 beat_air = state.beat_air[b, slot]
                 news = (episode.n_rounds - slots) % p.rounds == 0  # the first messages of a tick arrive
                 exchange(post, mail, inboxes, tracks, who, whom, first_of[n], news, p)
-                if slot == 0 and p.lambda2 == lambda2_estimator.POWER:
+                if slot == 0 and p.lambda2 == power_iteration.POWER:
                     estimate_lambda2(beliefs, tracks, post, inboxes, whom, first_of, p)
                 n_bytes = layout.BYTES_PER_MESSAGE * (p.rounds if repeats else 1)
                 if news:
@@ -92,7 +93,7 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
                     for i in range(n):
                         tell_beats(beat_air[i], beats[i], i, episode.n_rounds // p.rounds + 1)
                     n_bytes += bytes_per_beats(n)
-                if p.lambda2 == lambda2_estimator.FLOODING:
+                if p.lambda2 == power_iteration.FLOODING:
                     if news:
                         gather(tables, air, mail, who, whom, first_of[n])
                     if k == 0:
@@ -104,7 +105,7 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
                     write(mail, tracks, pairs, infos, who, whom, first_of[n], n_bytes, episode, p)
                 episode.n_rounds += 1
             orient(tracks, sights, own, inboxes, who, whom, first_of[n], p)
-            if p.relative_yaw != yaw_estimator.ESTIMATED:
+            if p.relative_yaw != relative_yaw.ESTIMATED:
                 override_yaw(bodies, tracks, p)
 
         if task == ADVANCE:
@@ -112,10 +113,10 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
         else:
             for i in range(infos.shape[0]):
                 infos[i].bytes_sent = 0.0  # the warm-up's
-        if p.lambda2 == lambda2_estimator.POWER:
+        if p.lambda2 == power_iteration.POWER:
             for i in range(n):
                 conclude(beliefs[i], n)
-        elif p.lambda2 == lambda2_estimator.FLOODING:
+        elif p.lambda2 == power_iteration.FLOODING:
             solve_tables(beliefs, tables, modes, scratch, episode.n_rounds // p.rounds, p)
         arrived = steer(bodies[episode.leader], world.waypoint[b], world.n_waypoints[b], world.stick, episode, p)
         own_rows, neighbor_rows = state.own_row[b], state.neighbor_row[b]
@@ -137,7 +138,7 @@ def start(bodies, flights, inboxes, tracks, beliefs, key, p):
     for i in range(n):
         repair(bodies[i])
         rest(bodies[i], flights[i], p)
-        if p.lambda2 == lambda2_estimator.POWER:
+        if p.lambda2 == power_iteration.POWER:
             awaken(beliefs[i], 2.0 * random.uniform(random.draw(key, 0, i, random.START)) - 1.0)
         for j in range(n):
             inboxes[i, j].age = p.memory
@@ -295,9 +296,9 @@ def override_yaw(bodies, tracks, p):
     for i in range(n):
         for j in range(n):
             a, b, track = bodies[i], bodies[j], tracks[i, j]
-            track.valid = track.present and p.relative_yaw == yaw_estimator.TRUE
+            track.valid = track.present and p.relative_yaw == relative_yaw.TRUE
             track.cos_yaw, track.sin_yaw = 1.0, 0.0
-            if p.relative_yaw == yaw_estimator.TRUE:
+            if p.relative_yaw == relative_yaw.TRUE:
                 track.cos_yaw = a.cos_yaw * b.cos_yaw + a.sin_yaw * b.sin_yaw
                 track.sin_yaw = a.cos_yaw * b.sin_yaw - a.sin_yaw * b.cos_yaw
             track.cos_used, track.sin_used = track.cos_yaw, track.sin_yaw

@@ -9,7 +9,7 @@ import functools
 import itertools
 from dataclasses import dataclass
 
-from fovconn_env.scenarios import Scenario
+from fovconn_env.scenarios.presets import Scenario
 
 
 @dataclass(frozen=True, kw_only=True)

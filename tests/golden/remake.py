@@ -1,6 +1,6 @@
 """Short recorded runs, so that a change of results is noticed: `python tests/golden/remake.py` makes them anew.
 
-It says by how much each run differs from the one that was there. `tests/test_golden.py` compares at 1e-9.
+It says by how much each run differs from the one that was there. `tests/sim/test_golden.py` compares at 1e-9.
 """
 
 from __future__ import annotations

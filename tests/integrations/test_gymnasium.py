@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from baselines import load_policy
 from fovconn_env import Simulator, scenario
+from fovconn_env.baselines import load_policy
 from tests.integrations import SHORT, example
 
 

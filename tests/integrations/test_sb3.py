@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fovconn_env import PRESETS
-from fovconn_env.joint import JointEnv
+from fovconn_env.envs.joint import JointEnv
 from tests.integrations import SHORT, assert_learned, example, weights
 
 pytest.importorskip("stable_baselines3")

@@ -22,9 +22,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from baselines import load_policy
 from fovconn_env import Scenario, Simulator, parallel_env, scenario
-from fovconn_env.vector import VectorEnv
+from fovconn_env.baselines import load_policy
+from fovconn_env.envs.vector import VectorEnv
 
 SIZES = (3, 6, 12, 24, 48)  # robots in a team, at one density
 CIRCLE = (0.1, 0.0, 0.0, 1.0)  # 0.25 m/s and 1 rad/s by default
@@ -234,7 +234,7 @@ def _core(chosen: Scenario, n_worlds: int) -> Case:
 
 def _sb3(chosen: Scenario, n_worlds: int) -> Case:
     """Steps of the Stable-Baselines3 rows as `make_vec_env` gives them, within its monitor."""
-    from training.sb3 import make_vec_env
+    from fovconn_env.training.sb3 import make_vec_env
 
     env, expert = make_vec_env(chosen, n_worlds, seed=0), load_policy("expert", chosen)
     observations: Any = env.reset()
@@ -253,7 +253,7 @@ def _ppo(chosen: Scenario, n_worlds: int, n_steps: int) -> Case:
     """Rollouts and updates of PPO as in docs/examples/sb3_ppo.py; the policy is a beginner, so flights end early."""
     from stable_baselines3 import PPO
 
-    from training.sb3 import make_vec_env
+    from fovconn_env.training.sb3 import make_vec_env
 
     rows = n_worlds * chosen.n_agents
     policy = {"net_arch": [64, 64], "log_std_init": -1.0}

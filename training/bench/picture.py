@@ -9,7 +9,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from fovconn_env.render.style import DARK, FAINT, FOLLOWERS, RC, sheet
+from fovconn_env.render.figures.style import DARK, FAINT, FOLLOWERS, RC, sheet
 
 KINDS = (".png", ".svg", ".pdf")
 OURS, PEER, SECOND, THIRD = FOLLOWERS[0], FOLLOWERS[1], FOLLOWERS[6], FOLLOWERS[2]

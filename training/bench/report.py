@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:  # docs/tables.py makes its tables from a record, without the environment
-    from training.bench.timing import Result, Timing
+    from fovconn_env.training.bench.timing import Result, Timing
 
 PACKAGES = (
     "fovconn-env numpy numba gymnasium pettingzoo torch stable-baselines3 vmas mpe2 gym-pybullet-drones pybullet"
@@ -53,7 +53,7 @@ def bars(main: int, largest: int, rows: int) -> list[Bar]:
 
 def record(result: Result) -> dict[str, Any]:
     """Everything about a run that is worth keeping."""
-    from training.evaluation.results import plain
+    from fovconn_env.training.evaluation.results import plain
 
     todo, memory = result.agenda, result.memory
     effort = todo.effort

@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fovconn_env import Scenario
-from fovconn_env.vector import VectorEnv
-from training.bench.cases import PEERS, Case, Effort, Plan, plans
+from fovconn_env.envs.vector import VectorEnv
+from fovconn_env.training.bench.cases import PEERS, Case, Effort, Plan, plans
 
 GROUPS = ("parallel", "vector", "expert", "sb3", "ppo", "dynamics", "reset", "render", "density", "memory")
 INSTALLED = ("installed", "all")  # in the place of a peer's name
@@ -165,7 +165,7 @@ def _installed(peer: str) -> bool:
 # ------------------------------------------------------------------------------------------------------------ memory
 def peak_memory(chosen: Scenario, n_worlds: int) -> Memory:
     """Peak memory of a process that makes a vector environment, resets it and makes ten steps."""
-    code = "import sys, pickle; from training.bench.timing import fly_once; fly_once(*pickle.load(sys.stdin.buffer))"
+    code = f"import sys, pickle; from {__name__} import fly_once; fly_once(*pickle.load(sys.stdin.buffer))"
     words = [sys.executable, "-c", code]
     task = subprocess.run(words, input=pickle.dumps((chosen, n_worlds)), capture_output=True, check=True)
     imports, peak = task.stdout.split()[-2:]

@@ -9,10 +9,10 @@ from typing import Annotated
 import typer
 
 from fovconn_env import scenario
-from training.bench.cases import FULL, PEERS, QUICK
-from training.bench.timing import GROUPS, INSTALLED, agenda, run
-from training.commands.options import ScenarioName, Settings, check_writable, parse
-from training.commands.screen import grid, out, progress, warm_up
+from fovconn_env.training.bench.cases import FULL, PEERS, QUICK
+from fovconn_env.training.bench.timing import GROUPS, INSTALLED, agenda, run
+from fovconn_env.training.commands.options import ScenarioName, Settings, check_writable, parse
+from fovconn_env.training.commands.screen import grid, out, progress, warm_up
 
 
 def command(
@@ -35,7 +35,7 @@ def command(
     settings: Settings = None,
 ) -> None:
     """Time the environment: steps a second, medians over repetitions, ratios to the peers, peak memory."""
-    from training.bench.report import bar_table, machine_line, rate_table, record, restless
+    from fovconn_env.training.bench.report import bar_table, machine_line, rate_table, record, restless
 
     if peers and not against:
         raise ValueError(f"{peers[0]!r} is unexpected: peers come after --against, groups each after an --only")
@@ -43,7 +43,7 @@ def command(
     effort = effort._replace(batches=tuple(batches or effort.batches), repetitions=repetitions or effort.repetitions)
     todo = agenda(chosen, effort, only or (), [*(against or ()), *(peers or ())])
     if picture is not None:
-        from training.bench.picture import KINDS, plot
+        from fovconn_env.training.bench.picture import KINDS, plot
 
         if picture.suffix not in KINDS:
             raise ValueError(f"--plot must end in one of {', '.join(KINDS)}, got {str(picture)!r}")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from training.commands.screen import progress, warm_up
-from training.evaluation import Evaluation
-from training.evaluation.campaign import Cell, fly_cells
+from fovconn_env.training.commands.screen import progress, warm_up
+from fovconn_env.training.evaluation import Evaluation
+from fovconn_env.training.evaluation.campaign import Cell, fly_cells
 
 
 def fly_all(

@@ -7,11 +7,18 @@ from typing import Annotated
 
 import typer
 
-from baselines import find_policy
 from fovconn_env import scenario
-from training.commands.options import PolicyName, RecordFile, ScenarioName, Settings, check_recording, parse
-from training.commands.screen import measures, out, progress, warm_up
-from training.export import check_installed
+from fovconn_env.baselines import find_policy
+from fovconn_env.training.commands.options import (
+    PolicyName,
+    RecordFile,
+    ScenarioName,
+    Settings,
+    check_recording,
+    parse,
+)
+from fovconn_env.training.commands.screen import measures, out, progress, warm_up
+from fovconn_env.training.evaluation.export import check_installed
 
 
 def command(
@@ -24,7 +31,7 @@ def command(
     settings: Settings = None,
 ) -> None:
     """Fly the paper's experiment (Sec. V) once: a table of measures, its Figs. 2-7 and an animation."""
-    from training.demo import draw, fly_once
+    from fovconn_env.training.evaluation.demo import draw, fly_once
 
     chosen = scenario(scenario_name, **parse(settings))
     find_policy(policy)

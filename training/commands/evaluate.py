@@ -8,10 +8,10 @@ from typing import Annotated
 
 import typer
 
-from baselines import POLICIES, find_policy
 from fovconn_env import PRESETS, scenario
-from training.commands.campaigns import fly_all
-from training.commands.options import (
+from fovconn_env.baselines import POLICIES, find_policy
+from fovconn_env.training.commands.campaigns import fly_all
+from fovconn_env.training.commands.options import (
     OUT,
     Fresh,
     JsonFile,
@@ -21,11 +21,11 @@ from training.commands.options import (
     check_writable,
     parse,
 )
-from training.commands.screen import err, grid, measures, out, progress, say_written, width
-from training.evaluation.campaign import DEV_SEEDS, Cell, parse_seeds, suite
-from training.evaluation.comparison import Comparison, overall_table, scenario_table
-from training.evaluation.recordings import record_flights
-from training.evaluation.results import publish, short, write_json
+from fovconn_env.training.commands.screen import err, grid, measures, out, progress, say_written, width
+from fovconn_env.training.evaluation.campaign import DEV_SEEDS, Cell, parse_seeds, suite
+from fovconn_env.training.evaluation.comparison import Comparison, overall_table, scenario_table
+from fovconn_env.training.evaluation.recordings import record_flights
+from fovconn_env.training.evaluation.results import publish, short, write_json
 
 
 def command(

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from fovconn_env.flight import from_recording
-from training.commands.campaigns import fly_all
-from training.commands.options import (
+from fovconn_env.flights.flight import from_recording
+from fovconn_env.training.commands.campaigns import fly_all
+from fovconn_env.training.commands.options import (
     OUT,
     Force,
     Fresh,
@@ -19,10 +19,10 @@ from training.commands.options import (
     check_writable,
     read_recording,
 )
-from training.commands.screen import grid, out, progress, say_written
-from training.evaluation.campaign import parse_seeds
-from training.evaluation.results import write_json
-from training.export import check_installed
+from fovconn_env.training.commands.screen import grid, out, progress, say_written
+from fovconn_env.training.evaluation.campaign import parse_seeds
+from fovconn_env.training.evaluation.export import check_installed
+from fovconn_env.training.evaluation.results import write_json
 
 
 def command(
@@ -66,7 +66,7 @@ def command(
 
 
 def _draw_flight(file: Path, folder: Path, force: bool) -> None:
-    from training.demo import draw
+    from fovconn_env.training.evaluation.demo import draw
 
     recording = read_recording(file)
     folder.mkdir(parents=True, exist_ok=True)
@@ -78,7 +78,7 @@ def _draw_flight(file: Path, folder: Path, force: bool) -> None:
 
 
 def _draw_map(file: Path, folder: Path, scenario_name: str | None, seeds: list[int]) -> None:
-    from training.map_preview import preview
+    from fovconn_env.training.evaluation.map_preview import preview
 
     picture, problem = preview(file, folder, scenario_name, seeds)
     if problem:
@@ -87,8 +87,8 @@ def _draw_map(file: Path, folder: Path, scenario_name: str | None, seeds: list[i
 
 
 def _draw_ablations(folder: Path, seeds: str, processes: int | None, fresh: bool, json_file: Path | None) -> None:
-    from training.evaluation import ablations as studies
-    from training.evaluation.ablation_picture import draw
+    from fovconn_env.training.evaluation import ablations as studies
+    from fovconn_env.training.evaluation.ablation_picture import draw
 
     numbers, cells = parse_seeds(seeds), studies.cells()
     results, seconds = fly_all(cells, numbers, folder, processes, fresh)

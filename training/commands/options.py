@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
-from baselines import POLICIES
 from fovconn_env import PRESETS, Recording
-from fovconn_env.recording import load
+from fovconn_env.baselines import POLICIES
+from fovconn_env.flights.recording import load
 
 OUT = Path("out")
 

@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from fovconn_env.render.palette import THEMES
-from training.commands.options import PolicyName, ScenarioName, Settings, check_recording, parse
-from training.commands.screen import err, say_written
-from training.play.session import Session
+from fovconn_env.training.commands.options import PolicyName, ScenarioName, Settings, check_recording, parse
+from fovconn_env.training.commands.screen import err, say_written
+from fovconn_env.training.play.session import Session
 
 LEAST = 320, 240  # px, the smallest page of `render.view`
 
@@ -37,7 +37,7 @@ def command(
     wide, changes = _size(size), parse(settings)
     check_recording(recording_file)
     try:
-        from training.play.app import App
+        from fovconn_env.training.play.app import App
     except ImportError as missing:
         raise ValueError(f'play needs {missing.name}: pip install "fovconn-env[render]"') from missing
     with err.status("loading (compiles once, ~20 s)"):

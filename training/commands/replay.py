@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from fovconn_env.flight import from_recording
-from training.commands.options import Force, check_writable, read_recording
-from training.commands.screen import measures, out, progress, say_written
-from training.evaluation.recordings import measure
-from training.export import WRITERS, check_out, write_flight
+from fovconn_env.flights.flight import from_recording
+from fovconn_env.training.commands.options import Force, check_writable, read_recording
+from fovconn_env.training.commands.screen import measures, out, progress, say_written
+from fovconn_env.training.evaluation.export import WRITERS, check_out, write_flight
+from fovconn_env.training.evaluation.recordings import measure
 
 _OUT = f"Write the flight here; the ending is the format: {', '.join(WRITERS)}. An .html is a page that plays it back."
 

@@ -13,10 +13,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from baselines import find_policy
 from fovconn_env import Scenario, Simulator
-from training.evaluation import Evaluation, summary
-from training.evaluation.measures import card
+from fovconn_env.baselines import find_policy
+from fovconn_env.training.evaluation import Evaluation, summary
+from fovconn_env.training.evaluation.measures import card
 
 # a pipe has no width; rich would take 80 letters, too few for the tables
 out = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else 132)

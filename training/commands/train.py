@@ -9,13 +9,13 @@ from typing import Annotated, Any
 
 import typer
 
-from baselines import POLICIES, find_policy
-from baselines.cards import BASES
-from baselines.learned import Learned
 from fovconn_env import PRESETS, Scenario, scenario
-from fovconn_env.settings import rule
-from training.commands.options import OUT, check_folder, parse, read_recording
-from training.commands.screen import out, progress
+from fovconn_env.baselines import POLICIES, find_policy
+from fovconn_env.baselines.learned.cards import BASES
+from fovconn_env.baselines.learned.policy import Learned
+from fovconn_env.errors import rule
+from fovconn_env.training.commands.options import OUT, check_folder, parse, read_recording
+from fovconn_env.training.commands.screen import out, progress
 
 app = typer.Typer(no_args_is_help=True, help="Train policies, and record flights to train from.")
 SHIPPED = ", ".join(name for name, kind in POLICIES.items() if issubclass(kind, Learned)) or "none yet"
@@ -74,7 +74,7 @@ def dagger_command(
 
     fovconn train dagger --steps 20000000 --out out/dagger
     """
-    from training.dagger import Dagger, DaggerSettings
+    from fovconn_env.training.learn.dagger import Dagger, DaggerSettings
 
     def make(flown: list[Scenario], hyper: Any, net: Any):
         return Dagger(flown, seed, hyper, net, n_threads=threads)
@@ -108,8 +108,8 @@ def bc_command(
     fovconn train record --policy expert --seeds 50000-50063 --out out/expert.npz
     fovconn train bc --data out/expert.npz --steps 10000000 --out out/bc
     """
-    from training.bc import BC, BCSettings
-    from training.datasets import load
+    from fovconn_env.training.learn.bc import BC, BCSettings
+    from fovconn_env.training.learn.datasets import load
 
     episodes = [load(file) for file in data]
 
@@ -141,7 +141,7 @@ def ppo_command(
 
     fovconn train ppo --start out/dagger/dagger.safetensors --steps 20000000 --out out/ppo
     """
-    from training.ppo import PPOSettings, Team
+    from fovconn_env.training.learn.ppo import PPOSettings, Team
 
     first = _start(start)
 
@@ -177,7 +177,7 @@ def residual_command(
 
     fovconn train residual --steps 4000000 --out out/residual
     """
-    from training.residual import Residual, ResidualSettings
+    from fovconn_env.training.learn.residual import Residual, ResidualSettings
 
     def make(flown: list[Scenario], hyper: Any, net: Any):
         return Residual(flown, seed, hyper, net, filtered=filtered, n_threads=threads)
@@ -214,8 +214,8 @@ def record_command(
 
     Of a policy that is flown for it, or of recorded flights: your own, with `fovconn play --record flight.npz`.
     """
-    from training.datasets import from_recordings, record, save
-    from training.evaluation.campaign import parse_seeds
+    from fovconn_env.training.evaluation.campaign import parse_seeds
+    from fovconn_env.training.learn.datasets import from_recordings, record, save
 
     rule(file.suffix == ".npz", "--out", "a file that ends in .npz", str(file), "numpy.load reads it")
     [chosen], numbers = _scenarios([scenario_name], settings), parse_seeds(seeds)
@@ -250,7 +250,7 @@ def _train(
     """Make the algorithm from the words of the command line and train it under a progress bar."""
     import torch
 
-    from training.learning import Budget, Network, train
+    from fovconn_env.training.learn.learning import Budget, Network, train
 
     names, changes, network, tune = what
     steps, minutes, folder, resume, threads, scores = how

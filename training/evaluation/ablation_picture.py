@@ -10,8 +10,8 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.ticker import PercentFormatter
 
-from fovconn_env.render.style import DARK, FAINT, FOLLOWERS, RC, save, sheet
-from training.evaluation.ablations import STUDIES, Study
+from fovconn_env.render.figures.style import DARK, FAINT, FOLLOWERS, RC, save, sheet
+from fovconn_env.training.evaluation.ablations import STUDIES, Study
 
 KEPT = "never_disconnected"
 _STYLE = {

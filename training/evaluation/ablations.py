@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 
 import fovconn_env
 from fovconn_env import scenario
-from training.evaluation.campaign import Cell
-from training.evaluation.comparison import percent
-from training.evaluation.flights import SHARES, Evaluation, summary
-from training.evaluation.results import run_block
-from training.evaluation.statistics import Estimate
+from fovconn_env.training.evaluation.campaign import Cell
+from fovconn_env.training.evaluation.comparison import percent
+from fovconn_env.training.evaluation.flights import SHARES, Evaluation, summary
+from fovconn_env.training.evaluation.results import run_block
+from fovconn_env.training.evaluation.statistics import Estimate
 
 BASE = "LeaderFollow-v0"
 

@@ -20,12 +20,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-import baselines
 import fovconn_env
-from baselines import POLICIES, find_policy
-from fovconn_env import PRESETS, Scenario
-from training.evaluation.flights import Evaluation, fly, join, label
-from training.evaluation.results import plain
+from fovconn_env import PRESETS, Scenario, baselines
+from fovconn_env.baselines import POLICIES, find_policy
+from fovconn_env.training.evaluation.flights import Evaluation, fly, join, label
+from fovconn_env.training.evaluation.results import plain
 
 DEV_SEEDS = range(320)  # frozen: development; a held-out set is kept apart
 # as it is, sight hidden, parts that fail, a narrow field of view: each parts other policies

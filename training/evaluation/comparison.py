@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from training.evaluation.flights import Evaluation, summary
-from training.evaluation.statistics import (
+from fovconn_env.training.evaluation.flights import Evaluation, summary
+from fovconn_env.training.evaluation.statistics import (
     NOTHING,
     Estimate,
     improvement,
@@ -28,7 +28,7 @@ class Result(NamedTuple):
     """One policy on one scenario. Estimates are `NOTHING` where there is nothing to compare with."""
 
     evaluation: Evaluation
-    summary: dict[str, Any]  # see training.evaluation.summary
+    summary: dict[str, Any]  # see fovconn_env.training.evaluation.summary
     kept: Estimate  # share of episodes never disconnected
     success: Estimate
     collisions: int

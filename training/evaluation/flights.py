@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from baselines import POLICIES, Policy, find_policy
 from fovconn_env import Recorder, Recording, Scenario, Simulator
-from fovconn_env.metrics import ERRORS, Meter, quantile
-from training.evaluation.statistics import share_interval
+from fovconn_env.baselines import POLICIES, Policy, find_policy
+from fovconn_env.flights.metrics import ERRORS, Meter, quantile
+from fovconn_env.training.evaluation.statistics import share_interval
 
 BATCH = 256  # worlds flown at once
 SHARES = ("never_disconnected", "success", "collision")  # measures that are yes or no

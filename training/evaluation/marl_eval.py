@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from training.evaluation.flights import Evaluation
+from fovconn_env.training.evaluation.flights import Evaluation
 
 ENVIRONMENT = "fovconn"
 METRICS = ("return", "sct", "success", "never_disconnected", "progress")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from training.evaluation.comparison import Table, percent
-from training.evaluation.statistics import Estimate
+from fovconn_env.training.evaluation.comparison import Table, percent
+from fovconn_env.training.evaluation.statistics import Estimate
 
 # what it is called, the measures of `summary` it shows, and how
 ROWS = (

@@ -17,11 +17,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, NullLocator, PercentFormatter
 
-from fovconn_env.metrics import CAUSES as LOST_BY
-from fovconn_env.metrics import ERRORS, SPLIT_CAUSE, bin_edges
-from fovconn_env.render.style import DARK, FAINT, FOLLOWERS, LEADER, RC, save, sheet
-from training.evaluation.comparison import EXPERT, MERIT, Comparison, Result
-from training.evaluation.statistics import survival
+from fovconn_env.flights.metrics import CAUSES as LOST_BY
+from fovconn_env.flights.metrics import ERRORS, SPLIT_CAUSE, bin_edges
+from fovconn_env.render.figures.style import DARK, FAINT, FOLLOWERS, LEADER, RC, save, sheet
+from fovconn_env.training.evaluation.comparison import EXPERT, MERIT, Comparison, Result
+from fovconn_env.training.evaluation.statistics import survival
 
 WIDTH = 7.5  # inches, 1200 pixels
 ROW = 0.27  # inches of a policy in bar charts and forests

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from fovconn_env import Recording
-from fovconn_env.metrics import Meter
-from fovconn_env.recording import play_back, state_hash
-from training.evaluation.campaign import Cell
-from training.evaluation.flights import Evaluation, label, record
+from fovconn_env.flights.metrics import Meter
+from fovconn_env.flights.recording import play_back, state_hash
+from fovconn_env.training.evaluation.campaign import Cell
+from fovconn_env.training.evaluation.flights import Evaluation, label, record
 
 
 def record_flights(

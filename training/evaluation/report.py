@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from fovconn_env.metrics import SPLIT_CAUSE
-from training.evaluation.comparison import (
+from fovconn_env.flights.metrics import SPLIT_CAUSE
+from fovconn_env.training.evaluation.comparison import (
     EXPERT,
     Comparison,
     Table,
@@ -24,10 +24,10 @@ from training.evaluation.comparison import (
     overall_table,
     scenario_table,
 )
-from training.evaluation.pictures import Picture, draw
+from fovconn_env.training.evaluation.pictures import Picture, draw
 
 TITLE = "fovconn benchmark"
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).resolve().parents[2]
 METRICS = ROOT / "docs" / "metrics.md"
 MOST_LOST = 20  # lost episodes listed
 
@@ -110,7 +110,9 @@ def markdown(head: Mapping[str, str], sections: Sequence[Section], folder: Path)
 
 def html(head: Mapping[str, str], sections: Sequence[Section]) -> str:
     """The report as one HTML file with its pictures inside."""
-    loader = Environment(loader=PackageLoader("training.evaluation"), autoescape=True, undefined=StrictUndefined)
+    loader = Environment(
+        loader=PackageLoader("fovconn_env.training.evaluation"), autoescape=True, undefined=StrictUndefined
+    )
     loader.filters["embedded"] = _embedded
     return loader.get_template("report.html").render(title=TITLE, head=head, sections=sections) + "\n"
 

@@ -17,10 +17,10 @@ import numba
 import numpy as np
 
 import fovconn_env
-from baselines import find_policy
 from fovconn_env import PRESETS, Map, Scenario
-from fovconn_env.metrics import ERRORS, bin_edges
-from training.evaluation.comparison import (
+from fovconn_env.baselines import find_policy
+from fovconn_env.flights.metrics import ERRORS, bin_edges
+from fovconn_env.training.evaluation.comparison import (
     Comparison,
     Table,
     compare,
@@ -30,9 +30,9 @@ from training.evaluation.comparison import (
     overall_table,
     scenario_table,
 )
-from training.evaluation.flights import SHARES, Evaluation, label, summary
-from training.evaluation.marl_eval import to_marl_eval
-from training.evaluation.measures import card
+from fovconn_env.training.evaluation.flights import SHARES, Evaluation, label, summary
+from fovconn_env.training.evaluation.marl_eval import to_marl_eval
+from fovconn_env.training.evaluation.measures import card
 
 ON_CARD = ("expert", "augmented", "recovery", "oracle")  # policies on the card of a scenario
 SAMPLE = 4  # episodes of each evaluation in a short record
@@ -109,7 +109,7 @@ def publish(results: Sequence[Evaluation], policies: Sequence[str], folder: Path
     record = to_json(comparison, policies, seconds)
     files = [write_json(folder / "results.json", record), write_json(folder / "marl-eval.json", to_marl_eval(results))]
     if importlib.util.find_spec("matplotlib") is not None:
-        from training.evaluation.report import write_report
+        from fovconn_env.training.evaluation.report import write_report
 
         files += write_report(comparison, folder, _head(record, results))
     return Published(comparison, record, files)

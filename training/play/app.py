@@ -5,11 +5,11 @@ from __future__ import annotations
 import pygame
 from pygame._sdl2 import controller
 
-from fovconn_env.render.window import open_window
-from training.play.cockpit import Cockpit
-from training.play.gamepad import stick_of
-from training.play.session import Session
-from training.play.stick import REST, Stick, together
+from fovconn_env.render.live.window import open_window
+from fovconn_env.training.play.cockpit import Cockpit
+from fovconn_env.training.play.gamepad import stick_of
+from fovconn_env.training.play.session import Session
+from fovconn_env.training.play.stick import REST, Stick, together
 
 _WHOLE = 32767.0  # of an axis of a controller
 _STICKS = (

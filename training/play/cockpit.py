@@ -7,15 +7,15 @@ import math
 
 import pygame
 
-from fovconn_env.render.aim import Look
+from fovconn_env.render.live.aim import Look
+from fovconn_env.render.live.view import View
 from fovconn_env.render.palette import THEMES
-from fovconn_env.render.view import View
-from training.play import gamepad
-from training.play.keyboard import Key, Keyboard, find
-from training.play.pace import Pace
-from training.play.panels import HELP, draw_panel, help_pages, score_rows
-from training.play.session import Session
-from training.play.stick import REST, Stick, together
+from fovconn_env.training.play import gamepad
+from fovconn_env.training.play.keyboard import Key, Keyboard, find
+from fovconn_env.training.play.pace import Pace
+from fovconn_env.training.play.panels import HELP, draw_panel, help_pages, score_rows
+from fovconn_env.training.play.session import Session
+from fovconn_env.training.play.stick import REST, Stick, together
 
 SLOWER = (1.0, 0.5, 0.25)  # times real time
 SHOWN = 4.0  # s that a sentence stays

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from training.play.stick import Stick
+from fovconn_env.training.play.stick import Stick
 
 DEAD = 0.12  # share of a stick's way about its middle that counts as the middle: sticks do not come back quite
 FULL = 0.95  # share of its way from which on it counts as pushed to the end: not all get there

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fovconn_env.simulator import Simulator
+from fovconn_env.sim.simulator import Simulator
 
 RISE = 1.8  # m/s^2, fastest change of the commanded velocity in a handover: 0.09 m/s in a step of 0.05 s
 TURN = 3.0  # rad/s^2, the same of the commanded yaw rate

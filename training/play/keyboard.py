@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from training.play.stick import Stick
+from fovconn_env.training.play.stick import Stick
 
 RISE = 0.40  # s from rest to the whole stick while a key is held
 FALL = 0.25  # s from the whole stick back to rest

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import pygame
 
+from fovconn_env.render.live.places import text_height
+from fovconn_env.render.live.text import Typesetter
 from fovconn_env.render.palette import Theme, mixed
-from fovconn_env.render.places import text_height
-from fovconn_env.render.text import Typesetter
-from training.play import gamepad, keyboard
-from training.play.score import Score
+from fovconn_env.training.play import gamepad, keyboard
+from fovconn_env.training.play.score import Score
 
 Rows = Sequence[tuple[str, str]]
 _LEAST = 8  # px, smallest letters

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from fovconn_env.metrics import Meter
-from fovconn_env.recording import outcome
-from fovconn_env.simulator import Simulator
+from fovconn_env.flights.metrics import Meter
+from fovconn_env.flights.recording import outcome
+from fovconn_env.sim.simulator import Simulator
 
 
 class Score(NamedTuple):

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from baselines import POLICIES, find_policy
 from fovconn_env import PRESETS, Scenario, Simulator, scenario
-from fovconn_env.metrics import Meter
-from fovconn_env.recording import Recorder
-from training.play.handover import Handover
-from training.play.score import Score, score_of
-from training.play.script import script_stick
-from training.play.stick import REST, Stick, velocity
+from fovconn_env.baselines import POLICIES, find_policy
+from fovconn_env.flights.metrics import Meter
+from fovconn_env.flights.recording import Recorder
+from fovconn_env.training.play.handover import Handover
+from fovconn_env.training.play.score import Score, score_of
+from fovconn_env.training.play.script import script_stick
+from fovconn_env.training.play.stick import REST, Stick, velocity
 
 
 class Session:

@@ -1,0 +1,222 @@
+"""The paper's controller: gradient descent of V(lambda2) (3), (5) with (12), (13), and repulsion (Sec. III-D).
+
+Decentralised and memoryless: one observation in, one action out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fovconn_env.baselines.policy import Policy
+from fovconn_env.errors import check_numbers, rule
+from fovconn_env.kernel.jit import entry, kernel
+from fovconn_env.kernel.maths.geometry import tilt
+from fovconn_env.kernel.maths.weights import weight_gradient
+from fovconn_env.kernel.onboard.relative_yaw import NONE
+from fovconn_env.kernel.world.kinematics import saturate
+from fovconn_env.scenarios.presets import Scenario
+
+_GAINS = "k_v clamp k_obs d_min_obs d_max_obs closest excite forward gather".split()
+GAINS = np.dtype((np.record, [(name, "f8") for name in _GAINS]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gains:
+    """What the paper leaves open (docs/decisions.md)."""
+
+    k_v: float = 0.2  # gain of V; 0.05 lost 3.1 % of the teams, 0.2 0.8 % (docs/decisions.md)
+    clamp: float = 0.02  # lambda2_hat is kept this far above lambda2_min, where V has its asymptote
+    k_obs: float = 0.05  # m/s, gain of the repulsion
+    d_min_obs: float = 1.0  # m, its asymptote (Table I)
+    d_max_obs: float = 3.5  # m, where it ends (Table I)
+    closest: float = 1.02  # m, distances are kept above this
+    excite: float = 0.2  # m/s, see `excite`; 0 switches it off
+    forward: float = 0.0  # share of the neighbours' velocity, see `feed_forward`; 0 is the paper's law
+    gather: float = 0.0  # 1/s, see `gather`; 0 is the paper's law
+
+    def __post_init__(self) -> None:
+        check_numbers(self, above="k_v clamp k_obs d_min_obs d_max_obs closest", at_least="excite forward gather")
+        hint = "at 1 a team without a leader drifts for ever"
+        rule(self.forward < 1.0, "Gains.forward", "below 1", self.forward, hint)
+        ordered = self.d_min_obs < self.closest < self.d_max_obs
+        hint = "the repulsion grows from d_max_obs down to its asymptote at d_min_obs"
+        rule(ordered, "Gains.closest", "between d_min_obs and d_max_obs", self.closest, hint)
+
+
+class Expert(Policy):
+    """The paper's connectivity-maintenance controller with collision avoidance, saturated as a sum."""
+
+    def __init__(self, scenario: Scenario, gains: Gains | None = None) -> None:
+        super().__init__(scenario)
+        self.gains = gains or Gains()
+        self._params = scenario.params()
+        self._gains = np.zeros(1, GAINS)
+        for name in GAINS.names or ():
+            self._gains[name] = getattr(self.gains, name)
+
+    def decide(self, flat: np.ndarray) -> np.ndarray:
+        """Actions (R, 4) for flat observations (R, D)."""
+        actions = np.empty((len(flat), 4), np.float32)
+        control(*self.rows(flat), self._params, self._gains, actions)
+        return actions
+
+
+def potential(lambda2: np.ndarray, scenario: Scenario, gains: Gains | None = None) -> np.ndarray:
+    """V(lambda2) = k_v (lambda2_max - lambda2)^2 / (lambda2 - lambda2_min), 0 from lambda2_max on (Fig. 2)."""
+    low, high = scenario.lambda2_min, scenario.lambda2_max
+    value = (gains or Gains()).k_v * (high - lambda2) ** 2 / (lambda2 - low)
+    return np.where(lambda2 < high, value, 0.0)
+
+
+@kernel
+def potential_slope(lambda2, p, g):
+    """dV/dlambda2 of `potential`, with lambda2 kept `clamp` above its asymptote."""
+    low, high = p.lambda2_min, p.lambda2_max
+    at = max(lambda2, low + g.clamp)
+    if at >= high:
+        return 0.0
+    return -g.k_v * (high - at) * (high + at - 2.0 * low) / (at - low) ** 2
+
+
+@kernel
+def maintain(own, neighbors, p, g):
+    """Velocity and yaw rate that raise lambda2 (5), before saturation: m/s and rad/s, yaw frame."""
+    return descend(own, neighbors, potential_slope(np.float64(own.lambda2_hat), p, g), p)
+
+
+@kernel
+def descend(own, neighbors, slope, p):
+    """-slope dlambda2/d(p_i, yaw_i), in the yaw frame of the robot: what moves it down a V(lambda2) of that slope.
+
+    dlambda2/dp_i = sum_j (v2_i - v2_j)^2 R_i^T dA_ij/dp_i, and alike for the yaw: (5) with (12), (13).
+    """
+    vx = vy = vz = yaw_rate = 0.0
+    oix, oiy, oiz = tilt(p.axis_x, p.axis_y, p.axis_z, np.float64(own.roll), np.float64(own.pitch))
+    for j in range(neighbors.shape[0]):
+        row = neighbors[j]
+        blind = row.f_ij == 0.0
+        if row.present == 0.0 or (blind and row.yaw_valid == 0.0):
+            continue  # without a yaw, a robot that is only seen cannot tell which way to go
+        ax, ay, az = tilt(p.axis_x, p.axis_y, p.axis_z, np.float64(row.roll), np.float64(row.pitch))
+        c, s = np.float64(row.cos_yaw), np.float64(row.sin_yaw)
+        ojx, ojy, ojz = c * ax - s * ay, s * ax + c * ay, az  # iR_j o_C
+        bx, by, bz, distance = (
+            np.float64(row.bearing_x),
+            np.float64(row.bearing_y),
+            np.float64(row.bearing_z),
+            np.float64(row.distance),
+        )
+        if row.yaw_valid == 0.0:
+            ojx, ojy, ojz = bx, by, bz  # it looks away: were it mutual view, the yaw would be known
+        gradient = weight_gradient(bx, by, bz, distance, oix, oiy, oiz, ojx, ojy, ojz, p.weight, p)  # (12), (13)
+        gx, gy, gz, g_yaw = gradient
+        difference = np.float64(own.v2_hat) - np.float64(row.v2_hat)
+        scale = -slope * difference * difference
+        vx, vy, vz = vx + scale * gx, vy + scale * gy, vz + scale * gz  # (5)
+        yaw_rate += scale * g_yaw
+    return vx, vy, vz, yaw_rate
+
+
+@kernel
+def repel(ranges, g):
+    """Repulsion from all range points (Sec. III-D), m/s, yaw frame."""
+    vx = vy = vz = 0.0
+    for k in range(ranges.shape[0]):
+        row = ranges[k]
+        if row.present == 0.0:
+            break
+        x, y, z = np.float64(row.x), np.float64(row.y), np.float64(row.z)
+        distance = math.sqrt(x * x + y * y + z * z)
+        if distance >= g.d_max_obs:
+            continue
+        d = max(distance, g.closest)
+        speed = g.k_obs * ((g.d_max_obs - d) / (d - g.d_min_obs)) ** 2  # asymptote at d_min_obs, flat at d_max_obs
+        scale = -speed / max(distance, 1e-6)
+        vx, vy, vz = vx + scale * x, vy + scale * y, vz + scale * z
+    return vx, vy, vz
+
+
+@kernel
+def excite(neighbors, p, g):
+    """Forward velocity (m/s) of a robot that is watched by one it cannot see and does not know the yaw of.
+
+    Beyond the paper: at standstill nothing tells the watcher that yaw, so the two would wait for each other for ever,
+    the operator pulling in vain. A few centimetres of motion make it observable (16), (21).
+    """
+    if p.relative_yaw == NONE:
+        return 0.0  # there is no estimator to excite
+    for j in range(neighbors.shape[0]):
+        row = neighbors[j]
+        if row.present > 0.0 and row.f_ij == 0.0 and row.f_ji > 0.0 and row.yaw_valid == 0.0:
+            return g.excite
+    return 0.0
+
+
+@kernel
+def gather(me, neighbors, p, g):
+    """Velocity (m/s, yaw frame) towards all neighbours farther than D1 whose bearing is known; the leader has none."""
+    vx = vy = vz = 0.0
+    for j in range(neighbors.shape[0] if g.gather > 0.0 and me.is_leader == 0.0 else 0):
+        row = neighbors[j]
+        if row.present == 0.0:
+            continue
+        speed = g.gather * max(np.float64(row.distance) - p.D1, 0.0)
+        vx += speed * np.float64(row.bearing_x)  # zero where it is unknown
+        vy += speed * np.float64(row.bearing_y)
+        vz += speed * np.float64(row.bearing_z)
+    return vx, vy, vz
+
+
+@kernel
+def feed_forward(neighbors, g):
+    """Share `forward` of the link-weighted mean velocity of the neighbours whose yaw is known, m/s, yaw frame."""
+    vx = vy = vz = total = 0.0
+    for j in range(neighbors.shape[0] if g.forward > 0.0 else 0):
+        row = neighbors[j]
+        if row.present == 0.0 or row.yaw_valid == 0.0:
+            continue
+        weight, c, s = np.float64(row.weight), np.float64(row.cos_yaw), np.float64(row.sin_yaw)
+        x, y, z = np.float64(row.vx), np.float64(row.vy), np.float64(row.vz)
+        vx, vy, vz = vx + weight * (c * x - s * y), vy + weight * (s * x + c * y), vz + weight * z  # iR_j v_j
+        total += weight
+    scale = g.forward / total if total > 0.0 else 0.0
+    return scale * vx, scale * vy, scale * vz
+
+
+@kernel
+def up_to_stick(forward, wish, stick):
+    """Feed-forward, m/s, of which the part along the stick fills up what `wish` lacks of the stick's speed, no more."""
+    (fx, fy, fz), (wx, wy, wz), (sx, sy, sz) = forward, wish, stick
+    speed = math.sqrt(sx * sx + sy * sy + sz * sz)
+    if speed == 0.0:
+        return fx, fy, fz
+    sx, sy, sz = sx / speed, sy / speed, sz / speed
+    along = fx * sx + fy * sy + fz * sz
+    lack = max(speed - (wx * sx + wy * sy + wz * sz), 0.0)
+    surplus = max(along - lack, 0.0)
+    return fx - surplus * sx, fy - surplus * sy, fz - surplus * sz
+
+
+@entry
+def control(own, neighbors, ranges, params, gains, actions):
+    """Fill actions (R, 4) from the record rows own (R,), neighbors (R, M) and ranges (R, K)."""
+    p, g = params[0], gains[0]
+    top = p.speed_limit + p.stick_speed
+    for r in range(own.shape[0]):
+        me = own[r]
+        sx, sy, sz = np.float64(me.stick_x), np.float64(me.stick_y), np.float64(me.stick_z)
+        cx, cy, cz, yaw_rate = maintain(me, neighbors[r], p, g)
+        ox, oy, oz = repel(ranges[r], g)
+        cx += excite(neighbors[r], p, g)
+        gx, gy, gz = gather(me, neighbors[r], p, g)
+        wx, wy, wz = cx + ox + sx + gx, cy + oy + sy + gy, cz + oz + sz + gz
+        fx, fy, fz = up_to_stick(feed_forward(neighbors[r], g), (wx, wy, wz), (sx, sy, sz))
+        # of the sum: the operator cannot outvote a part of it
+        vx, vy, vz = saturate(wx + fx, wy + fy, wz + fz, p.speed_limit)
+        actions[r, 0] = (vx - sx) / top  # the environment adds the stick again
+        actions[r, 1] = (vy - sy) / top
+        actions[r, 2] = (vz - sz) / top
+        actions[r, 3] = min(max(yaw_rate / p.yaw_rate_limit, -1.0), 1.0)

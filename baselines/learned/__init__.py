@@ -1,0 +1,1 @@
+"""Learned policies: networks, their files, and the kernel that flies them."""

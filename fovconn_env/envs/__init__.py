@@ -1,0 +1,1 @@
+"""Adapters: PettingZoo, Gymnasium (joint and vector), and what they render."""

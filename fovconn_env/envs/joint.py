@@ -1,0 +1,91 @@
+"""Gymnasium: one world, all robots one agent with a stacked observation, a stacked action and the team's reward."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from fovconn_env import layout
+from fovconn_env.envs.viewer import FPS, RENDER_MODES, Viewer
+from fovconn_env.errors import as_numbers
+from fovconn_env.scenarios.presets import Scenario, scenario
+from fovconn_env.sim.graph import Graph
+from fovconn_env.sim.simulator import Simulator
+
+TEAM_KEYS = ("lambda2", "connected", "n_edges", "success", "collision", "disconnected")  # the same for every robot
+
+
+def joint_spaces(simulator: Simulator) -> tuple[spaces.Box, spaces.Box]:
+    """Observation (N, D) and action (N, 4) of all robots of one world."""
+    n = simulator.scenario.n_agents
+    low, high = (np.tile(bound, (n, 1)) for bound in (simulator.world.low, simulator.world.high))
+    return spaces.Box(low, high), spaces.Box(-1.0, 1.0, (n, len(layout.ACTION)))
+
+
+class JointEnv(gymnasium.Env):
+    """One world as a Gymnasium environment: observation (N, D) float32, action (N, 4), reward the robots' mean.
+
+    infos: the team's numbers as floats, the robots' as arrays (N,); keys are those of `layout.INFO`.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": FPS}
+
+    def __init__(
+        self, base: str | Scenario = "LeaderFollow-v0", *, render_mode: str | None = None, **settings: Any
+    ) -> None:
+        self._viewer = Viewer(render_mode)
+        self.scenario = scenario(base, **settings)
+        self.render_mode = render_mode
+        self.simulator = Simulator(self.scenario)
+        self.observation_space, self.action_space = joint_spaces(self.simulator)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start an episode; options: "poses", (N, 4), as in the PettingZoo environment."""
+        super().reset(seed=seed)
+        poses = (options or {}).get("poses")
+        self.simulator.reset(seed, poses=poses)
+        self._viewer.show(self.simulator)
+        return self.simulator.observations[0].copy(), self._info()
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Apply actions (N, 4). Raises `ValueError` for a wrong shape or NaN, naming the robot."""
+        if self.simulator.over[0]:
+            raise gymnasium.error.ResetNeeded("step() needs an episode under way: call reset() first")
+        action, shape = as_numbers("action", action), self.action_space.shape
+        if action.shape != shape:
+            raise ValueError(f"action must have the shape {shape}, got {action.shape}: (robots, vx vy vz yaw_rate)")
+        self.simulator.step(action[None])
+        episode = self.simulator.state.episode[0]
+        reward = float(self.simulator.rewards[0].mean())
+        observation = self.simulator.observations[0].copy()
+        self._viewer.show(self.simulator)
+        return observation, reward, bool(episode["terminated"]), bool(episode["truncated"]), self._info()
+
+    def push(self, stick: npt.ArrayLike) -> None:
+        """Give a human leader's stick, (3,) m/s in its yaw frame, before a step; see `Simulator.push`."""
+        self.simulator.push(stick)
+
+    def graph(self) -> Graph:
+        """The observations as a graph, as in the PettingZoo environment."""
+        return self.simulator.graph()
+
+    def render(self) -> np.ndarray | None:
+        """A picture of the world, (480, 640, 3) uint8, as in the PettingZoo environment."""
+        return self._viewer.draw(self.simulator)
+
+    def close(self) -> None:
+        """Close the window of the render mode "human"."""
+        self._viewer.close()
+
+    def _info(self) -> dict[str, Any]:
+        rows = self.simulator.infos[0]
+        return {
+            column.name: float(rows[column.name][0]) if column.name in TEAM_KEYS else rows[column.name].copy()
+            for column in layout.INFO
+        }

@@ -1,0 +1,211 @@
+"""PettingZoo: one world, every robot an agent. All agents end together."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+import pettingzoo
+from gymnasium import spaces
+from pettingzoo.utils import parallel_to_aec
+from pettingzoo.utils.conversions import parallel_to_aec_wrapper
+
+from fovconn_env import layout
+from fovconn_env.envs.viewer import FPS, RENDER_MODES, Viewer
+from fovconn_env.errors import as_numbers
+from fovconn_env.scenarios.presets import Scenario, scenario
+from fovconn_env.sim.graph import Graph
+from fovconn_env.sim.simulator import Simulator
+
+PARTS = ("self", "neighbors", "ranges")
+INFO_KEYS = tuple(column.name for column in layout.INFO)
+
+
+class ParallelEnv(pettingzoo.ParallelEnv):
+    """The environment of one `Scenario` as a PettingZoo parallel environment.
+
+    Observations are a `Dict` of 1-D float32 Boxes "self", "neighbors", "ranges", or with `flat=True` one Box of the
+    same numbers in the same order; actions are `Box(-1, 1, (4,))`. Columns, units and frames: `fovconn_env.layout`.
+    """
+
+    metadata: dict[str, Any] = {
+        "name": "fovconn_v0",
+        "render_modes": list(RENDER_MODES),
+        "render_fps": FPS,
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self,
+        base: str | Scenario = "LeaderFollow-v0",
+        /,
+        *,
+        render_mode: str | None = None,
+        flat: bool = False,
+        **settings: Any,
+    ) -> None:
+        self._viewer = Viewer(render_mode)
+        self.scenario = scenario(base, **settings)
+        self.render_mode = render_mode
+        self.flat = flat
+        self.simulator = Simulator(self.scenario)
+        self.possible_agents = self.scenario.agents
+        self.agents: list[str] = []
+        self.observation_spaces = {agent: self._observation_space() for agent in self.possible_agents}
+        self.action_spaces = {agent: spaces.Box(-1.0, 1.0, (len(layout.ACTION),)) for agent in self.possible_agents}
+        low, high = self.simulator.privileged_bounds()
+        self.state_space = spaces.Box(low, high)
+
+    @property
+    def max_cycles(self) -> int:
+        """Steps until an episode is truncated; a new value holds from the next reset on."""
+        return self.simulator.max_cycles
+
+    @max_cycles.setter
+    def max_cycles(self, value: int) -> None:
+        if value < 1 or value != int(value):
+            raise ValueError(f"max_cycles must be a whole number, at least 1, got {value}: it counts steps")
+        self.simulator.max_cycles = int(value)
+
+    def observation_space(self, agent: str) -> spaces.Space:
+        """The observation space of an agent, always the same object."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Space:
+        """The action space of an agent, always the same object."""
+        return self.action_spaces[agent]
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict, dict]:
+        """Start an episode: observations and infos by agent.
+
+        options: "poses", (N, 4) x, y, z, yaw (m, rad, world frame), places the robots; other keys are ignored.
+        Raises `ValueError` for poses of a wrong shape or that collide; the episode under way is then untouched.
+        """
+        poses = (options or {}).get("poses")
+        self.simulator.reset(seed, poses=poses)
+        self.agents = list(self.possible_agents)
+        self._viewer.show(self.simulator)
+        return self._observations(), self._infos()
+
+    def step(self, actions: dict[str, np.ndarray]) -> tuple[dict, dict, dict, dict, dict]:
+        """Apply one action an agent: observations, rewards, terminations, truncations and infos by agent.
+
+        Raises `ValueError` for a missing or unknown agent, a wrong shape or NaN, naming the agent, before anything
+        moves; out of range is clipped. Raises `gymnasium.error.ResetNeeded` before reset and after the end.
+        """
+        if not self.agents:
+            raise gymnasium.error.ResetNeeded("step() needs an episode under way: call reset() first")
+        self.simulator.step(self._gather(actions)[None])
+        agents, episode = self.agents, self.simulator.state.episode[0]
+        rewards = dict(zip(agents, self.simulator.rewards[0].tolist(), strict=True))
+        terminations = dict.fromkeys(agents, bool(episode["terminated"]))
+        truncations = dict.fromkeys(agents, bool(episode["truncated"]))
+        observations, infos = self._observations(), self._infos()
+        if episode["over"]:
+            self.agents = []
+        self._viewer.show(self.simulator)
+        return observations, rewards, terminations, truncations, infos
+
+    def push(self, stick: npt.ArrayLike) -> None:
+        """Give a human leader's stick, (3,) m/s in its yaw frame, before a step; see `Simulator.push`."""
+        self.simulator.push(stick)
+
+    def poses(self) -> np.ndarray:
+        """The truth, (N, 4) float64: x, y, z, yaw of every robot in the world frame."""
+        return self.simulator.poses()[0]
+
+    def adjacency(self) -> np.ndarray:
+        """The true weights A_ij (6), (N, N) float64: tilted axes and blocked sights count, noise does not."""
+        return self.simulator.adjacency()[0]
+
+    def graph(self) -> Graph:
+        """The observations as a graph, uav_0 first: `edge_index` goes from the observed robot to its observer.
+
+        What robots see of each other, from their own sensors and messages. The true links are `adjacency()`.
+        """
+        return self.simulator.graph()
+
+    def state(self) -> np.ndarray:
+        """The privileged vector for centralised critics, in the leader's yaw frame: layout.STATE and STATE_TEAM."""
+        return self.simulator.privileged()[0]
+
+    def render(self) -> np.ndarray | None:
+        """A picture of the world as it is, (480, 640, 3) uint8; None without a render mode, and in the mode "human".
+
+        That one opens a window, which also `reset` and `step` keep up to date, at `render_fps` steps a second.
+        """
+        return self._viewer.draw(self.simulator)
+
+    def close(self) -> None:
+        """Close the window of the render mode "human"."""
+        self._viewer.close()
+
+    def _gather(self, actions: dict[str, np.ndarray]) -> np.ndarray:
+        """Actions (N, 4) float64, checked."""
+        if not isinstance(actions, Mapping):
+            kind = type(actions).__name__
+            raise ValueError(f"actions must be a dict by agent, got {kind}: {{'uav_0': [vx, vy, vz, yaw_rate], ...}}")
+        rows = np.empty((len(self.agents), len(layout.ACTION)))
+        for row, agent in zip(rows, self.agents, strict=True):
+            if agent not in actions:
+                raise ValueError(f"actions must hold every agent, got none for {agent}: all robots act in every step")
+            action = as_numbers(f"action of {agent}", actions[agent])
+            if action.shape != row.shape:
+                raise ValueError(
+                    f"action of {agent} must have the shape {row.shape}, got {action.shape}: vx vy vz yaw_rate"
+                )
+            row[:] = action
+        if len(actions) > len(self.agents):
+            unknown = next(agent for agent in actions if agent not in self.agents)
+            raise ValueError(f"actions must be for {self.agents[0]} .. {self.agents[-1]}, got one for {unknown!r}")
+        if not np.isfinite(rows).all():
+            agent = self.agents[int(np.argwhere(~np.isfinite(rows))[0, 0])]
+            raise ValueError(f"action of {agent} must be finite, got {actions[agent]!r}: did the policy diverge?")
+        return rows
+
+    def _observations(self) -> dict[str, Any]:
+        flat = self.simulator.observations[0].copy()
+        if self.flat:
+            return dict(zip(self.agents, flat, strict=True))
+        first = len(layout.SELF)
+        second = first + self.scenario.max_neighbors * len(layout.NEIGHBOR)
+        return {
+            agent: {"self": row[:first], "neighbors": row[first:second], "ranges": row[second:]}
+            for agent, row in zip(self.agents, flat, strict=True)
+        }
+
+    def _infos(self) -> dict[str, dict[str, float]]:
+        rows = self.simulator.infos[0].tolist()
+        return {agent: dict(zip(INFO_KEYS, row, strict=True)) for agent, row in zip(self.agents, rows, strict=True)}
+
+    def _observation_space(self) -> spaces.Space:
+        low, high = self.simulator.world.low, self.simulator.world.high
+        if self.flat:
+            return spaces.Box(low, high)
+        first = len(layout.SELF)
+        second = first + self.scenario.max_neighbors * len(layout.NEIGHBOR)
+        slices = (slice(0, first), slice(first, second), slice(second, None))
+        boxes = (spaces.Box(low[cut], high[cut]) for cut in slices)
+        return spaces.Dict(OrderedDict(zip(PARTS, boxes, strict=True)))  # a plain dict would be sorted
+
+
+def parallel_env(base: str | Scenario = "LeaderFollow-v0", /, **settings: Any) -> ParallelEnv:
+    """A PettingZoo parallel environment of a scenario: its id or a `Scenario`, and settings to change.
+
+    Also takes `render_mode` and `flat`. See `Scenario` for the settings and `ParallelEnv` for spaces and errors.
+    """
+    return ParallelEnv(base, **settings)
+
+
+def env(base: str | Scenario = "LeaderFollow-v0", /, **settings: Any) -> pettingzoo.AECEnv:
+    """The same environment as a PettingZoo AEC environment, robots taking turns within a step."""
+    return parallel_to_aec(parallel_env(base, **settings))
+
+
+def raw_env(base: str | Scenario = "LeaderFollow-v0", /, **settings: Any) -> pettingzoo.AECEnv:
+    """`env` without the wrapper that enforces the order of calls."""
+    return parallel_to_aec_wrapper(parallel_env(base, **settings))

@@ -1,0 +1,1 @@
+"""Flights: records of an episode, recordings that replay bit for bit, metrics."""

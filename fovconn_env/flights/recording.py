@@ -1,0 +1,244 @@
+"""A flight on record: all that is needed to compute it again, bit for bit, and hashes that show that it came out so."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import platform
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fovconn_env.errors import rule
+from fovconn_env.files import Contents, Damaged, read_contents, write_contents
+from fovconn_env.kernel.jit import source_hash
+from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.serialize import scenario_from_json, scenario_to_json
+from fovconn_env.sim.simulator import Simulator
+from fovconn_env.version import __version__
+
+EVERY = 200  # steps between two hashes
+OUTCOMES = ("success", "collision", "disconnected", "time", "unfinished")
+
+
+class OtherVersion(ValueError):
+    """The recording is of another version, and its flight does not come out as recorded."""
+
+
+class Diverged(ValueError):
+    """The flight does not come out as recorded, in the versions that recorded it."""
+
+
+class Event(NamedTuple):
+    """A change of leader before a step: from then on `kind` moves the stick of `robot`."""
+
+    step: int
+    robot: int
+    kind: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """T steps of one episode of N robots. `play_back` computes them again."""
+
+    scenario: Scenario
+    starts: Scenario  # by whose rules start, map and course were drawn; mostly the same
+    seed: int
+    poses: np.ndarray | None  # (N, 4) start poses x, y, z, yaw, where they were given
+    sticks: np.ndarray  # (T, 3) m/s, operator's velocity in each step, leader's yaw frame
+    actions: np.ndarray  # (T, N, 4) shares, as given
+    events: tuple[Event, ...]
+    policies: tuple[str, ...]  # what flew each robot, in free words
+    versions: dict[str, str]  # of fovconn_env, its kernels, python and libraries
+    outcome: str  # one of OUTCOMES
+    hashes: tuple[tuple[int, str], ...]  # (step, hash of the state after it): 0, every 200, and the last
+
+    @property
+    def leaders(self) -> np.ndarray:
+        """(T,) the robot that led in each step."""
+        found = np.full(len(self.actions), self.scenario.leader_index)
+        for event in self.events:
+            found[event.step :] = event.robot
+        return found
+
+    def save(self, path: str | Path) -> None:
+        """Write the recording to an .npz file; one that is there stays until the new one is whole."""
+        named = {name: getattr(self, name) for name in ("seed", "events", "policies", "versions", "outcome", "hashes")}
+        header = {"scenario": scenario_to_json(self.scenario), "starts": scenario_to_json(self.starts), **named}
+        arrays = {"sticks": self.sticks, "actions": self.actions}
+        write_contents(Path(path), Contents(header, arrays if self.poses is None else arrays | {"poses": self.poses}))
+
+
+def load(path: str | Path) -> Recording:
+    """Read a recording.
+
+    Raises `OSError` for a file that cannot be read, `recording_files.NotARecording` for one of something else,
+    `recording_files.Damaged` for one that is cut off or changed, and `OtherVersion` for one whose settings are not
+    those of this version.
+    """
+    header, arrays = read_contents(Path(path))
+    try:
+        words: dict[str, Any] = header | {
+            "scenario": scenario_from_json(header["scenario"]),
+            "starts": scenario_from_json(header["starts"]),
+            "events": tuple(Event(*event) for event in header["events"]),
+            "policies": tuple(header["policies"]),
+            "hashes": tuple((int(step), str(digest)) for step, digest in header["hashes"]),
+        }
+        found = Recording(**words, **{"poses": None, **arrays})
+        fits = found.sticks.shape == (len(found.actions), 3)
+        fits = fits and found.actions.shape == (len(found.actions), found.scenario.n_agents, 4)
+    except (KeyError, TypeError, ValueError) as problem:
+        other = _differences(header.get("versions", {}))
+        if other:
+            raise OtherVersion(f"{path} cannot be read: {problem}. It is of {other}") from problem
+        raise Damaged(f"{path} is damaged: {problem}") from problem
+    if not fits or found.hashes[0][0] != 0 or found.hashes[-1][0] != len(found.actions):
+        raise Damaged(f"{path} is damaged: its sticks, actions and hashes are not of the same flight")
+    return found
+
+
+class Recorder:
+    """Resets and steps a simulator of one world in the simulator's place, and keeps what its flight is made of.
+
+    Pushes and changes of leader go to the simulator itself; each step takes note of them.
+    """
+
+    def __init__(self, simulator: Simulator, policies: Sequence[str] = ()) -> None:
+        """policies: what flies each robot, in free words; one for all robots or one each."""
+        rule(simulator.n_worlds == 1, "n_worlds", "1 for a recording", simulator.n_worlds, "record one world of many")
+        n = simulator.scenario.n_agents
+        rule(len(policies) in (0, 1, n), "policies", f"one for all or {n}", list(policies), "one a robot")
+        self.simulator = simulator
+        self.policies = tuple(policies) * (n if len(policies) == 1 else 1)
+        self._begin: dict[str, Any] | None = None  # scenario, seed and poses of the episode under way
+
+    def reset(self, seed: int, *, poses: npt.ArrayLike | None = None) -> np.ndarray:
+        """Start an episode and its recording; as `Simulator.reset`."""
+        simulator = self.simulator
+        given = None if poses is None else np.array(poses, np.float64)
+        observations = simulator.reset(seed, poses=given)
+        changes = {"max_cycles": simulator.max_cycles, "leader": simulator.leader}  # which may be set at run time
+        scenario = dataclasses.replace(simulator.scenario, **changes)
+        self._begin = {"scenario": scenario, "starts": simulator.starts, "seed": int(seed), "poses": given}
+        self._sticks: list[tuple[float, float, float]] = []
+        self._actions: list[np.ndarray] = []
+        self._events: list[Event] = []
+        self._led = self._leader()
+        self._hashes, self._last = [], (0, state_hash(simulator))
+        return observations
+
+    def step(self, actions: npt.ArrayLike) -> np.ndarray:
+        """Step by actions (1, N, 4) and keep them; as `Simulator.step`. After the end nothing is added."""
+        simulator, episode = self.simulator, self.simulator.state.episode[0]
+        if self._begin is None or simulator.over[0]:
+            return simulator.step(np.asarray(actions))
+        stick = float(episode["stick_x"]), float(episode["stick_y"]), float(episode["stick_z"])
+        observations = simulator.step(np.asarray(actions))  # refuses what is no action before anything is kept
+        if self._led != self._leader():
+            self._led = self._leader()
+            self._events.append(Event(len(self._actions), *self._led))
+        self._sticks.append(stick)
+        self._actions.append(np.array(actions, np.float64)[0])
+        if self._last[0] % EVERY == 0:
+            self._hashes.append(self._last)
+        self._last = len(self._actions), state_hash(simulator)  # now: a push after it may never be flown
+        return observations
+
+    def recording(self) -> Recording:
+        """The episode so far. Raises `ValueError` before a reset."""
+        if self._begin is None:
+            raise ValueError("recording() needs an episode: call reset(seed) first")
+        return Recording(
+            **self._begin,
+            sticks=np.array(self._sticks, np.float64).reshape(-1, 3),
+            actions=np.array(self._actions, np.float64).reshape(-1, self.simulator.scenario.n_agents, 4),
+            events=tuple(self._events),
+            policies=self.policies,
+            versions=versions(),
+            outcome=outcome(self.simulator),
+            hashes=(*self._hashes, self._last),
+        )
+
+    def _leader(self) -> tuple[int, str]:
+        kind = self.simulator.leader
+        return int(self.simulator.state.episode["leader"][0]), kind if isinstance(kind, str) else "recorded"
+
+
+def play_back(recording: Recording, *, force: bool = False) -> Iterator[Simulator]:
+    """Compute a flight again: yields the simulator after the reset and after every step.
+
+    Raises `OtherVersion` or `Diverged` as soon as a hash is not the recorded one; with `force` it goes on, and whoever
+    asks compares `state_hash` with the recording's last one.
+    """
+    simulator = Simulator(recording.scenario, starts=recording.starts)
+    simulator.reset(recording.seed, poses=recording.poses)
+    hashes, since = dict(recording.hashes), 0
+    for t in range(len(recording.actions) + 1):
+        if t in hashes:
+            if not force and state_hash(simulator) != hashes[t]:
+                raise _mismatch(recording, since, t)
+            since = t
+        yield simulator
+        if t < len(recording.actions):
+            _operate(simulator, recording, t)
+            simulator.step(recording.actions[t][None])
+
+
+def replay(recording: Recording, *, force: bool = False) -> Simulator:
+    """Compute a flight again to its end; raises and takes `force` as `play_back`."""
+    *_, simulator = play_back(recording, force=force)
+    return simulator
+
+
+def _operate(simulator: Simulator, recording: Recording, t: int) -> None:
+    """What the operator does before step t."""
+    for event in recording.events:
+        if event.step == t:
+            if event.kind in ("waypoints", "human"):
+                simulator.leader = event.kind
+            simulator.lead(event.robot)
+    if simulator.leader == "human":
+        simulator.push(recording.sticks[t])
+
+
+def outcome(simulator: Simulator) -> str:
+    """How the first world's episode ended, one of OUTCOMES."""
+    episode = simulator.state.episode[0]
+    ends = {"success": "success", "collision": "collision", "disconnected": "disconnected", "truncated": "time"}
+    return next((word for name, word in ends.items() if episode[name]), "unfinished")
+
+
+def state_hash(simulator: Simulator) -> str:
+    """Hash of all bytes of the first world's state. What lies between the fields of a record is 0."""
+    digest = hashlib.sha256()
+    for array in simulator.state[:-3]:  # the last three are views
+        digest.update(array[:1].reshape(-1).view(np.uint8).data)
+    return digest.hexdigest()
+
+
+def versions() -> dict[str, str]:
+    """What a flight's bits may depend on, by name."""
+    found = {"fovconn_env": __version__, "kernels": source_hash(), "python": platform.python_version()}
+    return found | {name: metadata.version(name) for name in ("numpy", "numba", "llvmlite", "pymunk")}
+
+
+def _differences(recorded: dict[str, str]) -> str:
+    """Versions that are not those here, in words; "" if all are the same."""
+    here = versions()
+    names = [name for name in {**recorded, **here} if recorded.get(name) != here.get(name)]
+    return ", ".join(f"{name} {recorded.get(name, 'unknown')} (here {here.get(name, 'none')})" for name in names)
+
+
+def _mismatch(recording: Recording, since: int, at: int) -> ValueError:
+    where = f"between steps {since} and {at}" if at else "from its start on"
+    other = _differences(recording.versions)
+    if other:
+        return OtherVersion(f"the flight comes out otherwise {where}: it is of {other}; --force plays it nevertheless")
+    hint = "another processor may round otherwise; --force plays it nevertheless"
+    return Diverged(f"the flight comes out otherwise {where}, in the same versions: {hint}")

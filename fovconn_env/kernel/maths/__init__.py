@@ -1,0 +1,1 @@
+"""Formulas without state: geometry, spectrum, weights, counter-based random numbers."""

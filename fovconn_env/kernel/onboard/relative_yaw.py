@@ -1,0 +1,160 @@
+"""Relative yaw of a neighbour, estimated on board of robot i: (15)-(21). Yaw frames, SI units.
+
+The estimate is kept as cosine and sine; turning it by an angle needs no atan2 and no wrapping.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fovconn_env.kernel.jit import kernel
+from fovconn_env.kernel.maths.geometry import tilt
+from fovconn_env.kernel.maths.weights import range_weight, rise, sight_weight
+
+ESTIMATED, TRUE, NONE = range(3)  # scenarios.SWITCHES["relative_yaw"]
+LEVEL = 0.1  # a line of sight steeper than this horizontal share tells nothing about yaw
+RELIABLE = 0.5  # of the gain in (21): from here on its value is taken as it is
+
+
+@kernel
+def turned(c, s, angle):
+    """(cos, sin) turned by a small angle (Cayley: exact unit length, angle to its third power / 12)."""
+    t = 0.5 * angle
+    scale = 1.0 / (1.0 + t * t)
+    cos_turn, sin_turn = (1.0 - t * t) * scale, 2.0 * t * scale
+    return c * cos_turn - s * sin_turn, s * cos_turn + c * sin_turn
+
+
+@kernel
+def reckon(own, p):
+    """What follows for this tick from robot i's odometry and IMU: its turn and way since the last, its optical axis."""
+    own.turn_cos, own.turn_sin = turned(1.0, 0.0, -own.yaw_rate * p.tick)
+    x, y = turned(own.vx, own.vy, -0.5 * own.yaw_rate * p.tick)
+    own.shift_x, own.shift_y = p.tick * x, p.tick * y
+    own.ox, own.oy, own.oz = p.axis_x, p.axis_y, p.axis_z
+    if own.roll != 0.0 or own.pitch != 0.0:
+        own.ox, own.oy, own.oz = tilt(p.axis_x, p.axis_y, p.axis_z, own.roll, own.pitch)
+
+
+@kernel
+def attend(track, sight, own, p):
+    """Take over what the camera says about one robot: position, f*_ij (10) and gamma_ij (9) of it.
+
+    A robot that was missed counts as still held for `coast` seconds, with its last values.
+    """
+    if not sight.seen:
+        if track.held:
+            track.unseen += p.tick
+            track.held = track.unseen <= p.coast
+        if not track.held:
+            track.f = track.gamma = 0.0
+        return
+    x, y, z = sight.x, sight.y, sight.z
+    distance = max(math.sqrt(x * x + y * y + z * z), 1e-9)
+    track.held, track.unseen = True, 0.0
+    track.x, track.y, track.z, track.distance = x, y, z, distance
+    track.f = sight_weight((own.ox * x + own.oy * y + own.oz * z) / distance, p)
+    track.gamma = range_weight(distance, p)
+
+
+@kernel
+def estimate_yaw(track, sight, own, heard, p):
+    """One tick of the estimator of yaw_ij. All arguments are robot i's: its record of j, sight, odometry, inbox."""
+    told = heard.age < p.memory  # j's last message still counts
+    watched = told and heard.seen
+    track.present = track.held or watched
+    if not track.held:
+        if watched:
+            track.distance = math.sqrt(heard.px * heard.px + heard.py * heard.py + heard.pz * heard.pz)
+        track.tracking = False
+        track.valid = watched and heard.yaw_valid
+        if track.valid:  # yellow phase of Fig. 7: j measures and i takes yaw_ij = -yaw_ji; white: hold the last value
+            track.cos_yaw, track.sin_yaw = heard.cos_yaw, -heard.sin_yaw
+        track.cos_used, track.sin_used = track.cos_yaw, track.sin_yaw
+        return
+    _observe(track, sight, own, heard, p)
+    mutual, cos_direct, sin_direct = False, 1.0, 0.0
+    if watched and sight.seen:
+        mutual, cos_direct, sin_direct = _direct(track, heard)
+    gain, norm, cos_hat, sin_hat = 0.0, 1.0, 1.0, 0.0
+    if told and sight.seen and track.since >= p.yaw_hold and (p.yaw_product or not mutual):
+        gain, norm, cos_hat, sin_hat = _compare(track, heard, p)
+
+    c, s = track.cos_yaw, track.sin_yaw
+    if not track.valid and mutual:
+        c, s, track.valid = cos_direct, sin_direct, True
+    elif not track.valid and gain >= RELIABLE:  # the first reliable value, at once
+        c, s, track.valid = cos_hat / norm, sin_hat / norm, True
+    else:
+        share = (track.f * heard.f if p.yaw_product else 1.0) if mutual else 0.0  # paper: product; here an indicator
+        rate = heard.yaw_rate - own.yaw_rate  # (19), odometry
+        rate += p.yaw_k3 * share * (sin_direct * c - cos_direct * s)  # (20): k3 sin(yaw_ij - estimate)
+        if gain > 0.0:
+            rate += p.yaw_k2 * gain * (1.0 - share) * (sin_hat * c - cos_hat * s) / norm  # (21)
+        c, s = turned(c, s, p.tick * rate)
+    track.cos_yaw, track.sin_yaw = c, s
+
+    if mutual and track.valid and heard.yaw_valid:  # average on the circle of yaw_ij and -yaw_ji
+        cos_sum, sin_sum = c + heard.cos_yaw, s - heard.sin_yaw
+        length = math.sqrt(cos_sum * cos_sum + sin_sum * sin_sum)
+        if length > 1e-3:
+            scale = 1.0 / length
+            c, s = cos_sum * scale, sin_sum * scale
+    track.cos_used, track.sin_used = c, s
+
+
+@kernel
+def _observe(track, sight, own, heard, p):
+    """Disturbance observer (15), (16) in the form (17): e follows iR_j v_j, the motion that i's own does not explain.
+
+    Exact over a tick of constant velocities. The vertical part tells nothing about yaw and is left out. The lag-free
+    form keeps e and q, v_j filtered alike, free of the two robots' own turning, so that e = iR_j q at all times.
+    """
+    if not track.tracking:
+        track.tracking, track.since, track.lapse = True, 0.0, 0.0
+        track.lx, track.ly = sight.x, sight.y
+        track.ex = track.ey = track.qx = track.qy = 0.0
+        return
+    track.since += p.tick
+    track.lapse += p.tick
+    c, s, lapse = own.turn_cos, own.turn_sin, track.lapse
+    # where j would be now, had only i moved
+    lx, ly = c * track.lx - s * track.ly - own.shift_x, c * track.ly + s * track.lx - own.shift_y
+    ex, ey = track.ex, track.ey
+    if p.yaw_lag_free:
+        ex, ey = c * ex - s * ey, c * ey + s * ex
+        track.qx, track.qy = turned(track.qx, track.qy, -heard.yaw_rate * p.tick)
+    if not sight.seen:
+        track.lx, track.ly, track.ex, track.ey = lx, ly, ex, ey
+        return
+    gain = min(p.yaw_k1 * lapse, 1.0)
+    track.ex = ex + gain * ((sight.x - lx) / lapse - ex)  # (14), (17)
+    track.ey = ey + gain * ((sight.y - ly) / lapse - ey)
+    track.lx, track.ly, track.lapse = sight.x, sight.y, 0.0
+    if p.yaw_lag_free:
+        ux, uy = turned(heard.vx, heard.vy, -0.5 * heard.yaw_rate * lapse)
+        track.qx, track.qy = track.qx + gain * (ux - track.qx), track.qy + gain * (uy - track.qy)
+
+
+@kernel
+def _compare(track, heard, p):
+    """yaw_ij from e (16) and v_j, or v_j filtered alike: (gain of (21), norm, norm * cosine, norm * sine)."""
+    ux, uy = (track.qx, track.qy) if p.yaw_lag_free else (heard.vx, heard.vy)
+    c, s = ux * track.ex + uy * track.ey, ux * track.ey - uy * track.ex
+    norm = math.sqrt(c * c + s * s)
+    if norm <= 1e-9:
+        return 0.0, 1.0, c, s
+    speed = math.sqrt(ux * ux + uy * uy)  # horizontal: a vertical velocity carries no yaw
+    return rise(speed, p.yaw_v_min, p.yaw_v_max), norm, c, s
+
+
+@kernel
+def _direct(track, heard):
+    """yaw_ij from both bearings in mutual view: (does it tell, cosine, sine); a steep line of sight does not."""
+    ax, ay = track.x, track.y
+    bx, by = -heard.px, -heard.py
+    a2, b2 = ax * ax + ay * ay, bx * bx + by * by
+    if min(a2, b2) <= (LEVEL * track.distance) ** 2:
+        return False, 1.0, 0.0
+    scale = 1.0 / math.sqrt(a2 * b2)
+    return True, (ax * bx + ay * by) * scale, (ay * bx - ax * by) * scale

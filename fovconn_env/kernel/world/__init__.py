@@ -1,0 +1,1 @@
+"""Nature and the referee: dynamics, sensors, radio, faults, the operator, how an episode ends."""

@@ -1,0 +1,166 @@
+"""Who sees whom: the truth about every pair, and the camera's measurement of it.
+
+This file and `rangefinder` are the only ones that turn the true poses into what a robot may know.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fovconn_env.kernel.jit import kernel
+from fovconn_env.kernel.maths import random
+from fovconn_env.kernel.maths.geometry import sight_blocked, tilt, untilt
+
+BY_SIGHT, BY_RANGE = range(2)  # scenarios.SWITCHES["link"]
+SMALL = 16  # robots up to which it is faster to visit all pairs
+
+
+@kernel
+def look(bodies, pairs, near, count, piece, vertex, p):
+    """Bring the truth about the first `count` pairs of `near` up to date: distance, cosine a_ij, blocked, seen, linked.
+
+    World frame in. Returns whether a pair fell asleep or woke: whether the list of `muster` is out of date.
+    """
+    changed = False
+    for i in range(bodies.shape[0]):
+        bodies[i].nearest = math.inf
+    for k in range(count):
+        i, j = near[k, 0], near[k, 1]
+        a, b, ij, ji = bodies[i], bodies[j], pairs[i, j], pairs[j, i]
+        dx, dy, dz = b.x - a.x, b.y - a.y, b.z - a.z
+        distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+        inverse = 1.0 / max(distance, 1e-9)
+        ij.distance = ji.distance = distance
+        a.nearest, b.nearest = min(a.nearest, distance), min(b.nearest, distance)
+        if distance >= p.d_max and ij.asleep == p.rest_ticks:
+            continue  # out of reach, and has been for long: the rest stays as it is
+        x, y, z = inverse * dx, inverse * dy, inverse * dz
+        a_ij = a.ox * (a.cos_yaw * x + a.sin_yaw * y) + a.oy * (a.cos_yaw * y - a.sin_yaw * x) + a.oz * z
+        a_ji = -(b.ox * (b.cos_yaw * x + b.sin_yaw * y) + b.oy * (b.cos_yaw * y - b.sin_yaw * x) + b.oz * z)
+        in_range = p.d_min < distance < p.d_max
+        wanted = in_range and (a_ij > p.a_min or a_ji > p.a_min)
+        blocked = p.occlusion and wanted and sight_blocked(a.x, a.y, a.z, b.x, b.y, b.z, piece, vertex)
+        linked = wanted and not blocked if p.link == BY_SIGHT else distance < p.d_max
+        ij.cosine, ji.cosine, ij.blocked, ji.blocked = a_ij, a_ji, blocked, blocked
+        ij.seen = in_range and a_ij > p.a_min and not blocked  # f*_ij > 0 (10)
+        ji.seen = in_range and a_ji > p.a_min and not blocked
+        ij.linked = ji.linked = linked
+        asleep = 0 if linked else min(ij.asleep + 1, p.rest_ticks)
+        changed = changed or (asleep == p.rest_ticks) != (ij.asleep == p.rest_ticks)
+        ij.asleep = ji.asleep = asleep
+    for i in range(bodies.shape[0]):
+        if bodies[i].nearest >= p.d_max:
+            bodies[i].nearest = least_separation(bodies, i)  # the nearest may be one that was not listed
+    return changed
+
+
+@kernel
+def list_near(bodies, order, who, whom, contacts, near, p):
+    """List in `near` each pair that `look` has to visit once, i < j; returns how many.
+
+    These are the pairs in reach of each other and the `contacts` that `muster` found. Nothing changes between the
+    others. In a large team they are found by a sweep along x over `order`, the robots nearly as they lie there. In a
+    small team all are listed, which is faster.
+    """
+    n, count = bodies.shape[0], 0
+    if n <= SMALL:
+        for i in range(n):
+            for j in range(i + 1, n):
+                near[count, 0], near[count, 1] = i, j
+                count += 1
+        return count
+    line_up(order, bodies)
+    for a in range(n):
+        i = order[a]
+        for b in range(a + 1, n):
+            j = order[b]
+            if bodies[j].x - bodies[i].x >= p.d_max:
+                break
+            near[count, 0], near[count, 1] = min(i, j), max(i, j)
+            count += abs(bodies[j].y - bodies[i].y) < p.d_max
+    for k in range(contacts):
+        i, j = who[k], whom[k]
+        apart = abs(bodies[j].x - bodies[i].x) >= p.d_max or abs(bodies[j].y - bodies[i].y) >= p.d_max
+        near[count, 0], near[count, 1] = i, j
+        count += i < j and apart
+    return count
+
+
+@kernel
+def line_up(order, bodies):
+    """Sort the robots along x, by insertion: from tick to tick few change places."""
+    for a in range(1, order.shape[0]):
+        k, b = order[a], a
+        while b > 0 and bodies[order[b - 1]].x > bodies[k].x:
+            order[b] = order[b - 1]
+            b -= 1
+        order[b] = k
+
+
+@kernel
+def least_separation(bodies, i):
+    """Least distance of robot i's centre to another's."""
+    a, least = bodies[i], math.inf
+    for j in range(bodies.shape[0]):
+        b = bodies[j]
+        dx, dy, dz = b.x - a.x, b.y - a.y, b.z - a.z
+        least = min(least, math.sqrt(dx * dx + dy * dy + dz * dz) if j != i else math.inf)
+    return least
+
+
+@kernel
+def muster(pairs, who, whom, first, p):
+    """List the pairs that have to do with each other: linked, or so lately that something of it is left on board.
+
+    Robot i's contacts, in ascending order, are whom[first[i] : first[i + 1]]; who holds i as often. Nothing changes
+    between the others.
+    """
+    n, count = pairs.shape[0], 0
+    for i in range(n):
+        first[i] = count
+        for j in range(n):
+            who[count], whom[count] = i, j
+            count += j != i and pairs[i, j].asleep < p.rest_ticks
+    first[n] = count
+
+
+@kernel
+def feel(body, own, i, key, tick, p):
+    """Odometry and IMU of robot i: actual velocity, yaw rate, roll and pitch, with noise and bias where set."""
+    own.vx, own.vy, own.vz, own.yaw_rate = body.vx, body.vy, body.vz, body.yaw_rate
+    own.roll, own.pitch = body.roll, body.pitch
+    if p.velocity_noise > 0.0 or p.velocity_bias > 0.0:
+        a, b, c = _error(key, tick, i, random.VELOCITY, p.velocity_noise, p.velocity_bias)
+        own.vx, own.vy, own.vz = own.vx + a, own.vy + b, own.vz + c
+    if p.gyro_noise > 0.0 or p.gyro_bias > 0.0:
+        a, _, _ = _error(key, tick, i, random.GYRO, p.gyro_noise, p.gyro_bias)
+        own.yaw_rate += a
+    if p.attitude_noise > 0.0 or p.attitude_bias > 0.0:
+        a, b, _ = _error(key, tick, i, random.ATTITUDE, p.attitude_noise, p.attitude_bias)
+        own.roll, own.pitch = own.roll + a, own.pitch + b
+
+
+@kernel
+def see(me, it, pair, own, sight, index, key, tick, p):
+    """What a robot's camera reports of another: p_ij (2) in its yaw frame, de-tilted with its own IMU; or nothing."""
+    sight.seen = pair.seen
+    if sight.seen and p.miss > 0.0:
+        sight.seen = random.uniform(random.draw(key, tick, index, random.MISS)) >= p.miss
+    if not sight.seen:
+        return
+    dx, dy, z = it.x - me.x, it.y - me.y, it.z - me.z
+    x, y = me.cos_yaw * dx + me.sin_yaw * dy, me.cos_yaw * dy - me.sin_yaw * dx  # (2)
+    if p.position_noise > 0.0 or p.position_bias > 0.0:
+        a, b, c = _error(key, tick, index, random.POSITION, p.position_noise, p.position_bias)
+        x, y, z = x + a, y + b, z + c
+    if own.roll != me.roll or own.pitch != me.pitch:
+        x, y, z = untilt(x, y, z, me.roll, me.pitch)  # to the camera, which the body carries
+        x, y, z = tilt(x, y, z, own.roll, own.pitch)  # and back with the attitude it believes
+    sight.x, sight.y, sight.z = x, y, z
+
+
+@kernel
+def _error(key, tick, index, purpose, noise, bias):
+    a, b, c = random.normal_triple(key, tick, index, purpose)
+    d, e, f = random.normal_triple(key, 0, index, purpose + random.BIAS)
+    return noise * a + bias * d, noise * b + bias * e, noise * c + bias * f

@@ -1,0 +1,69 @@
+"""Distance sensor: the nearest surface point of each object around, in all directions, anonymous."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fovconn_env.kernel.jit import kernel
+from fovconn_env.kernel.maths import random
+from fovconn_env.kernel.maths.geometry import nearest_on_piece
+
+
+@kernel
+def scan(bodies, i, piece, vertex, rows, key, tick, p):
+    """Fill robot i's range rows, (K,) RANGE in its yaw frame: one point per obstacle and per robot, nearest first."""
+    for k in range(rows.shape[0]):
+        if rows[k].present == 0.0:
+            break  # used rows stand first
+        rows[k].present = rows[k].x = rows[k].y = rows[k].z = 0.0
+    me, n = bodies[i], bodies.shape[0]
+    for j in range(n):
+        if j == i:
+            continue
+        dx, dy, dz = bodies[j].x - me.x, bodies[j].y - me.y, bodies[j].z - me.z
+        distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+        surface = max(distance - 0.5 * p.collision_robot, 0.0)
+        scale = surface / max(distance, 1e-9)
+        _enter(rows, me, dx * scale, dy * scale, dz * scale, surface, i, j, key, tick, p)
+    k, best = 0, math.inf
+    bx = by = bz = 0.0
+    while k < piece.shape[0] and piece[k].count > 0:
+        x, y, z, distance = nearest_on_piece(me.x, me.y, me.z, piece[k], vertex)
+        if distance < best:
+            best, bx, by, bz = distance, x - me.x, y - me.y, z - me.z
+        k += 1
+        if k == piece.shape[0] or piece[k].count == 0 or piece[k].source != piece[k - 1].source:
+            _enter(rows, me, bx, by, bz, max(best, 0.0), i, n + piece[k - 1].source, key, tick, p)
+            best = math.inf
+
+
+@kernel
+def _enter(rows, me, dx, dy, dz, distance, i, thing, key, tick, p):
+    """Insert a point (world axes, from the robot) where its distance belongs; the farthest falls off the end."""
+    if distance >= p.range_max:
+        return
+    if p.range_noise > 0.0 or p.range_bias > 0.0:
+        index = (i << 12) + thing
+        a, _ = random.normal_pair(random.draw(key, tick, index, random.RANGE))
+        b, _ = random.normal_pair(random.draw(key, 0, index, random.RANGE + random.BIAS))
+        scale = max(distance + p.range_noise * a + p.range_bias * b, 0.0) / max(distance, 1e-9)
+        dx, dy, dz, distance = dx * scale, dy * scale, dz * scale, distance * scale
+    k = rows.shape[0] - 1
+    if rows[k].present > 0.0 and _length(rows[k]) <= distance:
+        return
+    while k > 0 and (rows[k - 1].present == 0.0 or _length(rows[k - 1]) > distance):
+        above = rows[k - 1]
+        rows[k].present, rows[k].x, rows[k].y, rows[k].z = above.present, above.x, above.y, above.z
+        k -= 1
+    rows[k].present = 1.0
+    rows[k].x = me.cos_yaw * dx + me.sin_yaw * dy
+    rows[k].y = me.cos_yaw * dy - me.sin_yaw * dx
+    rows[k].z = dz
+
+
+@kernel
+def _length(row):
+    x, y, z = np.float64(row.x), np.float64(row.y), np.float64(row.z)
+    return math.sqrt(x * x + y * y + z * z)

@@ -1,0 +1,307 @@
+"""Obstacles: authored on a `pymunk.Space`, or drawn at random, then flattened for the kernels.
+
+The only importer of pymunk. World frame, metres.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+import pymunk
+
+from fovconn_env.kernel.records import PIECE
+from fovconn_env.maps.files import read_entries, write_entries
+from fovconn_env.maps.outlines import FAR, checked_array, checked_outline, convex_pieces
+
+LOW, HIGH = -100.0, 100.0  # m, height interval of an obstacle that is not told one
+_TRIES = 1000  # places a forest tries for one obstacle
+
+
+class Map:
+    """Obstacles that stand still, each a vertical prism: a shape in plan times a height interval [low, high].
+
+    `circle`, `wall` and `polygon` add one obstacle and return the map, so that calls can be chained; what they refuse
+    with a ValueError leaves the map as it was. `space` holds the shapes, for queries; every shape there carries
+    `height` (low, high) and `source`, the number of its obstacle.
+    """
+
+    def __init__(self) -> None:
+        self.space = pymunk.Space()
+
+    @classmethod
+    def from_space(cls, space: pymunk.Space) -> Self:
+        """Map of the static shapes of your own space; what changes there later does not reach it.
+
+        A shape may carry `shape.height = (low, high)` in metres, and `shape.source`, any label: shapes that share it
+        count as one obstacle. Sensors are left out. Raises ValueError for a body that moves and for a shape that
+        `circle`, `wall` or `polygon` would refuse.
+        """
+        groups: dict[object, list[pymunk.Shape]] = {}
+        for shape in space.shapes:
+            if not shape.sensor:
+                groups.setdefault(getattr(shape, "source", shape), []).append(shape)
+        result = cls()
+        for source, shapes in enumerate(groups.values()):
+            known = len(result.space.shapes)
+            for shape in shapes:
+                try:
+                    result._take(shape)
+                except (TypeError, ValueError) as error:
+                    raise ValueError(f"Map.from_space cannot take {shape}: {error}") from error
+            for added in list(result.space.shapes)[known:]:
+                added.source = source
+        return result
+
+    @classmethod
+    def from_file(cls, path: str | Path, *, scale: float = 1.0) -> Self:
+        """Map of a .json file as `to_file` writes it, or of the closed outlines of an .svg drawing (docs/maps.md).
+
+        scale, m: length of a user unit of the drawing. Raises ValueError that names file, element, rule and value for
+        what cannot be read, OSError for a file that is not there.
+        """
+        result = cls()
+        for entry in read_entries(Path(path), scale):
+            try:
+                result.obstacle(entry.shapes)
+            except ValueError as error:
+                raise ValueError(f"{path}: {entry.name}: {error}") from None
+        return result
+
+    def to_file(self, path: str | Path) -> None:
+        """Write the map as .json, from which `from_file` makes an equal one, bit for bit."""
+        write_entries(Path(path), self.obstacles())
+
+    def obstacles(self) -> list[list[tuple[str, dict[str, Any]]]]:
+        """Every obstacle as the calls (method, arguments) that add its shapes, see `obstacle`; JSON-ready."""
+        found: dict[int, list[tuple[str, dict[str, Any]]]] = {}
+        for shape in self.space.shapes:
+            written = _written(shape)
+            if written is not None:
+                found.setdefault(shape.source, []).append(written)
+        return list(found.values())
+
+    def obstacle(self, shapes: Iterable[tuple[str, Mapping[str, Any]]]) -> Self:
+        """Add one obstacle of several shapes, each as a call: "circle", "wall" or "polygon", and its arguments."""
+        known = len(self.space.shapes)
+        for shape, words in shapes:
+            getattr(self, shape)(**words)
+        added = list(self.space.shapes)[known:]
+        for shape in added:
+            shape.source = added[0].source
+        return self
+
+    def circle(self, center: npt.ArrayLike, radius: float, *, low: float = LOW, high: float = HIGH) -> Self:
+        """Add a pillar: center (2,) and radius, m; low and high, m, its height interval."""
+        core = checked_array("Map.circle center", center, (2,)).tolist()
+        return self._add("Map.circle", [[core]], radius, low, high)
+
+    def wall(
+        self, start: npt.ArrayLike, end: npt.ArrayLike, thickness: float, *, low: float = LOW, high: float = HIGH
+    ) -> Self:
+        """Add a wall with round ends from start (2,) to end (2,), m; thickness, m, is twice the radius of the ends."""
+        ends = {"start": start, "end": end}
+        core = [checked_array(f"Map.wall {name}", point, (2,)).tolist() for name, point in ends.items()]
+        if core[0] == core[1]:
+            raise ValueError(f"Map.wall end must differ from start, got {end} for both: a pillar is a Map.circle")
+        thickness = _number("Map.wall thickness", thickness, above=0.0)
+        return self._add("Map.wall", [core], thickness / 2, low, high)
+
+    def polygon(self, outline: npt.ArrayLike, radius: float = 0.0, *, low: float = LOW, high: float = HIGH) -> Self:
+        """Add a polygon: outline (n, 2) m, its corners in order, convex or not; radius, m, rounds it outwards."""
+        _number("Map.polygon radius", radius, least=0.0)
+        corners = checked_array("Map.polygon outline", outline, (-1, 2))
+        pieces = convex_pieces(checked_outline("Map.polygon outline", corners))
+        known = len(self.space.shapes)
+        self._add("Map.polygon", [piece.tolist() for piece in pieces], radius, low, high)
+        for k, shape in enumerate(list(self.space.shapes)[known:]):
+            shape.outline = [] if k else corners.tolist()  # the first piece stands for all when written
+        return self
+
+    def flatten(self) -> tuple[np.ndarray, np.ndarray]:
+        """What the kernels read: pieces (P,) PIECE, those of one obstacle side by side, and vertices (V, 2), m."""
+        cores = [_core(shape) for shape in self.space.shapes]
+        pieces = np.zeros(len(cores), PIECE)
+        first = 0
+        for k, (shape, core) in enumerate(zip(self.space.shapes, cores, strict=True)):
+            pieces[k] = (first, len(core), shape.radius, *shape.height, shape.source)
+            first += len(core)
+        return pieces, np.array([corner for core in cores for corner in core], dtype=float).reshape(-1, 2)
+
+    def clearance(self, points: npt.ArrayLike) -> np.ndarray:
+        """Signed distance (n,) m of points (n, 3) to the nearest obstacle: negative inside, inf without obstacles."""
+        x, y, z = checked_array("Map.clearance points", points, (-1, 3)).T
+        least = np.full(len(x), np.inf)
+        for shape in self.space.shapes:
+            side = np.array([shape.point_query((a, b)).distance for a, b in zip(x, y, strict=True)])
+            level = np.maximum(shape.height[0] - z, z - shape.height[1])
+            outside = np.hypot(np.maximum(side, 0.0), np.maximum(level, 0.0))
+            least = np.minimum(least, outside + np.minimum(np.maximum(side, level), 0.0))
+        return least
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Map):
+            return NotImplemented
+        mine, its = self.flatten(), other.flatten()
+        return all(np.array_equal(a, b) for a, b in zip(mine, its, strict=True))
+
+    def __hash__(self) -> int:
+        return hash(Map)  # a map can be added to: equal maps must stay equal
+
+    def __repr__(self) -> str:
+        return f"<Map of {len({shape.source for shape in self.space.shapes})} obstacles>"
+
+    def __copy__(self) -> Self:
+        return copy.deepcopy(self)  # a shared space would let the copy add obstacles to the original
+
+    def _add(self, name: str, cores: list[list], radius: float, low: float, high: float) -> Self:
+        """Add one obstacle of rounded convex cores; everything is checked before anything is added."""
+        if len(cores[0]) < 3:
+            _number(f"{name} radius", radius, above=0.0)
+        low = _number(f"{name} low", low)
+        high = _number(f"{name} high", high, above=low)
+        source = 1 + max((shape.source for shape in self.space.shapes), default=-1)
+        for core in cores:
+            shape = _rounded(core, float(radius))
+            shape.body, shape.height, shape.source = self.space.static_body, (low, high), source
+            self.space.add(shape)
+        return self
+
+    def _take(self, shape: pymunk.Shape) -> None:
+        """Add a copy of a shape of another space, where it stands in the world."""
+        if shape.body is None or shape.body.body_type != pymunk.Body.STATIC:
+            raise ValueError("its body must be static: obstacles stand still")
+        core = [tuple(shape.body.local_to_world(corner)) for corner in _core(shape)]
+        low, high = getattr(shape, "height", (LOW, HIGH))
+        if isinstance(shape, pymunk.Circle):
+            self.circle(core[0], shape.radius, low=low, high=high)
+        elif isinstance(shape, pymunk.Segment):
+            self.wall(core[0], core[1], 2 * shape.radius, low=low, high=high)
+        else:
+            self.polygon(core, shape.radius, low=low, high=high)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Forest:
+    """A random map: upright pillars and walls with gaps between them. Errors are ValueErrors that name the field."""
+
+    n_pillars: int = 12
+    pillar_radius: tuple[float, float] = (0.2, 0.5)  # m, least and greatest
+    n_walls: int = 3
+    wall_length: tuple[float, float] = (2.0, 5.0)  # m, least and greatest
+    wall_thickness: float = 0.3  # m
+    low: float = LOW  # m, height interval of all
+    high: float = HIGH  # m
+    gap: float = 2.0  # m, least free space between two obstacles
+
+    def __post_init__(self) -> None:
+        for name in ("n_pillars", "n_walls"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
+                raise ValueError(f"Forest.{name} must be a whole number of at least 0, got {value!r}: obstacles")
+        for name in ("pillar_radius", "wall_length"):
+            least, greatest = checked_array(f"Forest.{name}", getattr(self, name), (2,))
+            _number(f"Forest.{name}[0]", least, above=0.0)
+            _number(f"Forest.{name}[1]", greatest, least=least)
+        _number("Forest.wall_thickness", self.wall_thickness, above=0.0)
+        _number("Forest.gap", self.gap, least=0.0)
+        _number("Forest.low", self.low)
+        _number("Forest.high", self.high, above=self.low)
+
+    def generate(
+        self,
+        rng: np.random.Generator,
+        area: tuple[float, float, float, float],
+        keep_clear: npt.ArrayLike,
+        keep_radius: float,
+    ) -> Map:
+        """Draw a map whose obstacles have their centres in the area, walls first.
+
+        area, m: x_min, x_max, y_min, y_max. keep_clear (m, 3), m: points from which every obstacle keeps keep_radius,
+        m, in plan. Raises ValueError when an obstacle finds no room.
+        """
+        x_min, x_max, y_min, y_max = checked_array("Forest.generate area", area, (4,))
+        if x_min > x_max or y_min > y_max:
+            raise ValueError(f"Forest.generate area must be x_min, x_max, y_min, y_max with min <= max, got {area}: m")
+        clear = checked_array("Forest.generate keep_clear", keep_clear, (-1, 3))[:, :2].tolist()
+        _number("Forest.generate keep_radius", keep_radius, least=0.0)
+        result = Map()
+        for kind in ["wall"] * self.n_walls + ["pillar"] * self.n_pillars:
+            for _ in range(_TRIES):
+                center = np.array([rng.uniform(x_min, x_max), rng.uniform(y_min, y_max)])
+                core, radius = self._wall(rng, center) if kind == "wall" else self._pillar(rng, center)
+                around = _rounded(core, radius + self.gap)
+                around.update(pymunk.Transform.identity())  # a shape outside a space is placed by this call only
+                if result.space.shape_query(around):
+                    continue
+                if all(around.point_query(point).distance + self.gap >= keep_radius for point in clear):
+                    result._add(f"Forest {kind}", [core], radius, self.low, self.high)
+                    break
+            else:
+                raise ValueError(
+                    f"Forest found no room for a {kind} after {_TRIES} tries, with {len(result.space.shapes)} of "
+                    f"{self.n_walls + self.n_pillars} obstacles placed: fewer or smaller ones, a smaller gap or "
+                    "keep_radius, or a larger area"
+                )
+        return result
+
+    def _pillar(self, rng: np.random.Generator, center: np.ndarray) -> tuple[list, float]:
+        return [center.tolist()], rng.uniform(*self.pillar_radius)
+
+    def _wall(self, rng: np.random.Generator, center: np.ndarray) -> tuple[list, float]:
+        heading, length = rng.uniform(0.0, math.pi), rng.uniform(*self.wall_length)
+        half = np.array([math.cos(heading), math.sin(heading)]) * length / 2
+        return [(center - half).tolist(), (center + half).tolist()], self.wall_thickness / 2
+
+
+def _written(shape: pymunk.Shape) -> tuple[str, dict[str, Any]] | None:
+    """The call of a Map's method that added a shape; None for all but the first piece of a polygon."""
+    low, high = shape.height
+    heights = {"low": low, "high": high}
+    if isinstance(shape, pymunk.Circle):
+        return "circle", {"center": list(shape.offset), "radius": shape.radius, **heights}
+    if isinstance(shape, pymunk.Segment):
+        return "wall", {"start": list(shape.a), "end": list(shape.b), "thickness": 2 * shape.radius, **heights}
+    if not shape.outline:
+        return None
+    return "polygon", {"outline": shape.outline, "radius": shape.radius, **heights}
+
+
+def _core(shape: pymunk.Shape) -> list[pymunk.Vec2d]:
+    """Corners of a shape's convex core in its body's frame, counter-clockwise."""
+    if isinstance(shape, pymunk.Circle):
+        return [shape.offset]
+    if isinstance(shape, pymunk.Segment):
+        return [shape.a, shape.b]
+    assert isinstance(shape, pymunk.Poly)
+    return shape.get_vertices()
+
+
+def _rounded(core: list, radius: float) -> pymunk.Shape:
+    """Shape without a body: a convex core of 1, 2 or more corners, rounded by radius, m."""
+    if len(core) == 1:
+        return pymunk.Circle(None, radius, core[0])
+    if len(core) == 2:
+        return pymunk.Segment(None, core[0], core[1], radius)
+    return pymunk.Poly(None, core, radius=radius)
+
+
+def _number(field: str, value: float, *, above: float = -math.inf, least: float = -math.inf) -> float:
+    """The value as a float, checked: metres, > above and >= least."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not abs(number) <= FAR:
+        raise ValueError(f"{field} must be a finite number of at most {FAR:g}, got {value}: metres")
+    if number <= above:
+        raise ValueError(f"{field} must be {'positive' if above == 0.0 else f'above {above:g}'}, got {value}: metres")
+    if number < least:
+        raise ValueError(f"{field} must be at least {least:g}, got {value}: metres")
+    return number

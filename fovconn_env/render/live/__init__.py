@@ -1,0 +1,1 @@
+"""The live picture of `render()` and `fovconn play`, on pygame surfaces."""

@@ -1,0 +1,65 @@
+"""A simulator's first world at one instant, copied out for a picture."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fovconn_env.flights.flight import world_stick
+from fovconn_env.sim.simulator import Simulator
+
+
+class Instant(NamedTuple):
+    """The truth and the estimates of N robots now. World frame, SI units, radians."""
+
+    key: int  # of the episode
+    time: float  # s since the episode began
+    poses: np.ndarray  # (N, 4) x, y, z, yaw
+    tilt: np.ndarray  # (N, 2) roll, pitch
+    stick: np.ndarray  # (3,) m/s
+    leader: int  # who is pulled by the stick, if anybody is
+    weights: np.ndarray  # (N, N) A_ij
+    watch: np.ndarray  # (N, N) f*_ij
+    lambda2: float
+    lambda2_hat: np.ndarray  # (N,)
+    fiedler: np.ndarray  # (N,)
+    alive: np.ndarray  # (N,) bool
+    sees: np.ndarray  # (N,) bool, its camera works
+    talks: np.ndarray  # (N,) bool, its radio works
+    ranges: np.ndarray  # (R, 3) what the distance sensors measure
+    waypoint: int  # the one being flown to
+    outcome: str  # "" while it flies
+
+
+def instant_of(simulator: Simulator) -> Instant:
+    """The first world as it is; nothing of the simulator changes, and nothing of it is kept."""
+    state, scenario = simulator.state, simulator.scenario
+    body, episode, poses = state.body[0], state.episode[0], simulator.poses()[0]
+    endings = (name for name in ("success", "collision", "disconnected", "truncated") if episode[name])
+    works = {name: body[name] if scenario.faults else np.ones(len(body), bool) for name in ("alive", "sees", "talks")}
+    return Instant(
+        key=int(episode["key"]),
+        time=float(episode["step"] * scenario.step_time),
+        poses=poses,
+        tilt=np.stack([body["roll"], body["pitch"]], axis=-1),
+        stick=world_stick(simulator),
+        leader=int(episode["leader"]),
+        weights=state.pair["weight"][0].copy(),
+        watch=state.pair["watch"][0].copy(),
+        lambda2=float(episode["lambda2"]),
+        lambda2_hat=state.belief["lambda2_hat"][0].copy(),
+        fiedler=state.fiedler[0].copy(),
+        **{name: flags.copy() for name, flags in works.items()},
+        ranges=_range_points(state.range_row[0], poses),
+        waypoint=int(episode["waypoint"]),
+        outcome=next(endings, ""),
+    )
+
+
+def _range_points(rows: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Measured points (R, 3) in the world frame of the RANGE rows (N, K)."""
+    i, k = np.nonzero(rows["present"])
+    x, y, z = (rows[name][i, k].astype(float) for name in "xyz")
+    c, s = np.cos(poses[i, 3]), np.sin(poses[i, 3])
+    return poses[i, :3] + np.stack([c * x - s * y, s * x + c * y, z], axis=-1)

@@ -1,0 +1,75 @@
+"""A window of its own for each environment that is rendered for people."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import gymnasium
+import pygame
+
+from fovconn_env.render.live.view import LEAST, View
+from fovconn_env.sim.simulator import Simulator
+
+_UNSEEN = ("offscreen", "dummy")  # what SDL falls back to without a display; fine if asked for by name
+
+
+def open_window(title: str, size: tuple[int, int]) -> pygame.Window:
+    """A window that can be resized. Raises `pygame.error` where there is no display."""
+    if sys.platform == "linux":  # pictures come from the processor: through OpenGL they take 7 ms more without a GPU
+        os.environ.setdefault("SDL_FRAMEBUFFER_ACCELERATION", "0")
+    pygame.display.init()
+    driver = pygame.display.get_driver()
+    if driver in _UNSEEN and os.environ.get("SDL_VIDEODRIVER") != driver:
+        pygame.display.quit()
+        raise pygame.error(f"there is only the video driver {driver!r}")
+    window = pygame.Window(f"fovconn_env: {title}", size, resizable=True)
+    window.minimum_size = LEAST
+    return window
+
+
+class Window:
+    """Shows a view at `fps` pictures a second. A person may resize the window, or close it and fly on unseen."""
+
+    def __init__(self, title: str, fps: int, size: tuple[int, int] = (960, 600)) -> None:
+        """Raises `gymnasium.error.Error` where there is no display."""
+        try:
+            self._window: pygame.Window | None = open_window(title, size)
+        except pygame.error as problem:
+            raise gymnasium.error.Error(
+                f"render_mode='human' needs a display to open a window, got none ({problem}): "
+                "use render_mode='rgb_array', or start the program with xvfb-run"
+            ) from problem
+        self._fps, self._clock, self._shown = fps, pygame.time.Clock(), (-1, -1)
+
+    def show(self, view: View, simulator: Simulator) -> None:
+        """Show the world as it is now; waits until its turn. The same instant is not drawn and waited for twice."""
+        self._look_for_closing()
+        if self._window is None:
+            return
+        episode = simulator.state.episode[0]
+        shown, size = (int(episode["key"]), int(episode["step"])), self._window.size
+        if shown == self._shown and size == view.size:
+            return
+        if size != view.size:
+            view.set_page(size)
+        self._window.get_surface().blit(view.draw(simulator), (0, 0))
+        self._window.flip()
+        if shown != self._shown:
+            self._clock.tick(self._fps)
+        self._shown = shown
+
+    def close(self) -> None:
+        """Close the window; twice does no harm."""
+        if self._window is not None:
+            self._window.destroy()
+            self._window = None
+
+    def _look_for_closing(self) -> None:
+        """Close if a person asks for it. Events of other windows stay in the queue."""
+        pygame.event.pump()
+        for event in pygame.event.get(pygame.WINDOWCLOSE):
+            if event.window is self._window:
+                self.close()
+            else:
+                pygame.event.post(event)

@@ -1,0 +1,1 @@
+"""Flights for other viewers: a web page of its own, and rerun."""

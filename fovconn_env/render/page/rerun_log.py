@@ -1,0 +1,219 @@
+"""A flight as a rerun recording (.rrd): poses, cameras, links and obstacles in 3-D, and curves. World frame, m.
+
+rerun (https://rerun.io) is imported with the first recording only; every function here takes it as `rr`.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from fovconn_env.flights.flight import Flight
+from fovconn_env.render import palette, sight
+from fovconn_env.render.obstacles import outlines
+from fovconn_env.render.shapes3d import BODY, NOSE, QUADROTOR, ROTOR, attitudes, fan, rim
+
+THEME = palette.DARK  # as rerun's viewer
+TIMELINE = "time"  # s
+_TRAIL = 15  # s of the past, a point each
+_SIZE = 0.42  # m, half-width of a drawn robot
+_GAP = 0.7  # m between the tip of a link's arrow and the robot that is seen
+_STUB = 1.5  # m, the part of a camera's view that is drawn as a cone
+_EYE = (-0.3, -0.7, 0.6)  # where the eye is from the middle of the flight, in sizes of the flight
+_MARGIN = 1.0  # m that obstacles go on below and above the flight
+
+
+def write_rrd(flight: Flight, path: Path) -> Path:
+    """Write a flight for `rerun FILE`, with a layout of 3-D view and plots.
+
+    Raises `gymnasium.error.DependencyNotInstalled` without the `rerun` extra.
+    """
+    try:
+        import rerun as rr
+    except ImportError as missing:
+        raise gymnasium.error.DependencyNotInstalled(
+            f'write_rrd() needs {missing.name}: pip install "fovconn-env[rerun]"'
+        ) from missing
+    path.open("wb").close()  # an OSError where that fails; rerun's own is a RuntimeError
+    name = f"{flight.scenario.name}, seed {flight.seed}"
+    with rr.RecordingStream("fovconn_env", recording_id=name) as stream:
+        stream.save(path, default_blueprint=_layout(rr, flight))
+        stream.send_recording_name(f"{name}: {flight.outcome} after {flight.time[-1]:.1f} s")
+        _log_ground(rr, stream, flight)
+        _log_robots(rr, stream, flight)
+        _log_links(rr, stream, flight)
+        _log_curves(rr, stream, flight)
+        stream.flush()
+        stream.disconnect()
+    return path
+
+
+def _layout(rr: Any, flight: Flight) -> Any:
+    """3-D view on the left, curves of the whole flight on the right; the eye looks down on all of it."""
+    rrb = rr.blueprint
+    background = rrb.archetypes.PlotBackground(color=_rgb(THEME.panel))
+    ends = [rrb.TimeRangeBoundary.absolute(seconds=float(t)) for t in flight.time[[0, -1]]]
+    axis = rrb.TimeAxis(view_range=rr.TimeRange(*ends))
+    curves = [
+        rrb.TimeSeriesView(
+            origin=f"plots/{origin}",
+            name=name,
+            background=background,
+            axis_x=axis,
+            plot_legend=rrb.PlotLegend(corner="RightBottom", visible=legend),
+        )
+        for origin, name, legend in (
+            ("lambda2", "λ₂ and its estimates", True),
+            ("yaw", "valid yaw errors (deg), in the colours of whom they are about", False),
+            ("links", "links", True),
+        )
+    ]
+    places = np.concatenate([flight.poses[..., :3].reshape(-1, 3), flight.waypoints])
+    middle, size = (places.min(0) + places.max(0)) / 2, np.linalg.norm(np.ptp(places, axis=0))
+    eye = rrb.EyeControls3D(position=middle + size * np.array(_EYE), look_target=middle, eye_up=(0.0, 0.0, 1.0))
+    world = rrb.Spatial3DView(origin="world", name="team", background=_rgb(THEME.panel), eye_controls=eye)
+    return rrb.Blueprint(
+        rrb.Horizontal(world, rrb.Vertical(*curves, row_shares=[3, 3, 1.5]), column_shares=[5, 3]),
+        rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
+        collapse_panels=True,
+    )
+
+
+def _log_ground(rr: Any, stream: Any, flight: Flight) -> None:
+    """What stands still: obstacles, and the leader's course through its way points."""
+    stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    corners, triangles = prisms(flight)
+    if len(triangles):
+        mesh = rr.Mesh3D(vertex_positions=corners, triangle_indices=triangles, albedo_factor=_rgb(THEME.obstacle))
+        stream.log("world/obstacles", mesh, static=True)
+    if palette.leader_of(flight.scenario) is not None:
+        course = np.vstack([flight.poses[0, flight.leader[0], :3], flight.waypoints])
+        stream.log("world/course", rr.LineStrips3D([course], colors=_rgb(THEME.operator), radii=-0.7), static=True)
+        names = [f"way point {k}" for k in range(1, len(course))]
+        marks = rr.Points3D(course[1:], colors=_rgb(THEME.operator), radii=-6.0, labels=names)
+        stream.log("world/waypoints", marks, static=True)
+
+
+def prisms(flight: Flight) -> tuple[np.ndarray, np.ndarray]:
+    """Obstacles as one mesh, corners (n, 3) and triangles (m, 3), as far as they stand near the flight's heights."""
+    heights = np.concatenate([flight.poses[..., 2].ravel(), flight.waypoints[:, 2]])
+    low = np.maximum(flight.pieces["low"], heights.min() - _MARGIN)
+    high = np.minimum(flight.pieces["high"], heights.max() + _MARGIN)
+    corners, triangles, first = [np.zeros((0, 3))], [np.zeros((0, 3), int)], 0
+    for k, plan in enumerate(outlines(flight.pieces, flight.vertices)):
+        if low[k] < high[k]:
+            plan, n = plan[::4], len(plan[::4])
+            corners += [np.column_stack([plan, np.full(n, z)]) for z in (low[k], high[k])]
+            a, b = np.arange(n), (np.arange(n) + 1) % n
+            roof = np.column_stack([np.zeros(n, int), a, b]) + n  # pieces are convex
+            walls = np.column_stack([a, b, b + n]), np.column_stack([a, b + n, a + n])
+            triangles += [first + part for part in (*walls, roof)]
+            first += 2 * n
+    return np.concatenate(corners), np.concatenate(triangles)
+
+
+def _log_robots(rr: Any, stream: Any, flight: Flight) -> None:
+    """Poses as transforms, with body and camera hanging on them, trails, and the operator's stick."""
+    scenario, at, when = flight.scenario, flight.poses[..., :3], _when(rr, flight)
+    colors = [_rgb(color) for color in palette.colors_of(scenario, THEME)]
+    for i, (name, color) in enumerate(zip(scenario.agents, colors, strict=True)):
+        place = f"world/{name}"
+        turns = attitudes(flight.poses[:, i, 3], flight.tilt[:, i])  # (T, 3, 3)
+        stream.send_columns(place, when, rr.Transform3D.columns(translation=at[:, i], mat3x3=turns))
+        shape = rr.LineStrips3D([_SIZE * part for part in body_strips()], radii=-1.5)
+        stream.log(f"{place}/body", shape, static=True)
+        stream.log(f"{place}/name", rr.Points3D([[0.0, 0.0, 0.0]], labels=[str(i + 1)]), static=True)
+        stream.log(f"{place}/camera", rr.LineStrips3D(camera_strips(flight), radii=-0.7), static=True)
+        alive = flight.alive[:, i]
+        changes = np.flatnonzero(np.diff(alive, prepend=~alive[:1]))  # 0, and where it fails or works again
+        then = [rr.TimeColumn(TIMELINE, duration=flight.time[changes])]
+        shades = [color if works else _rgb(THEME.faint) for works in alive[changes]]
+        views = [[*color, 120 if works else 0] for works in alive[changes]]  # who is down sees nothing
+        stream.send_columns(f"{place}/body", then, rr.LineStrips3D.columns(colors=shades))
+        stream.send_columns(f"{place}/name", then, rr.Points3D.columns(colors=shades))
+        stream.send_columns(f"{place}/camera", then, rr.LineStrips3D.columns(colors=views))
+    past = np.linspace(-_TRAIL, 0.0, _TRAIL + 1)
+    steps = np.clip(np.searchsorted(flight.time, flight.time[:, None] + past - 1e-9), 0, len(flight.time) - 1)
+    strips = at[steps].swapaxes(1, 2)  # (T, N, 16, 3)
+    n = scenario.n_agents
+    columns = rr.LineStrips3D.columns(strips=strips.reshape(-1, *strips.shape[2:]), colors=colors * len(at))
+    stream.send_columns("world/trails", when, columns.partition([n] * len(at)))
+    stream.log("world/trails", rr.LineStrips3D.from_fields(radii=-1.0), static=True)
+    if palette.leader_of(scenario) is not None:
+        leader = np.insert(flight.leader[:-1], 0, flight.leader[0])  # in the step that ends then, as the stick
+        arrows = rr.Arrows3D.columns(vectors=2.0 * flight.stick, origins=at[np.arange(len(at)), leader])
+        stream.send_columns("world/stick", when, arrows.partition([1] * len(at)))
+        stream.log("world/stick", rr.Arrows3D.from_fields(colors=_rgb(THEME.leader), radii=0.08), static=True)
+
+
+def body_strips() -> list[np.ndarray]:
+    """A quadrotor of half-width 1 as lines, (n, 3) each: rings, hull and nose, body frame."""
+    rings = [*QUADROTOR[ROTOR].reshape(4, 12, 3), QUADROTOR[BODY], QUADROTOR[NOSE]]
+    return [np.vstack([ring, ring[:1]]) for ring in rings]
+
+
+def camera_strips(flight: Flight) -> list[np.ndarray]:
+    """A camera's field of view as lines, (n, 3) each: a short cone, and a sector out to the camera's range."""
+    camera = flight.scenario.camera
+    edge, sector = _STUB * rim(camera.unit_axis, camera.a_min), camera.d_max * fan(camera.unit_axis, camera.a_min)
+    spokes = [np.stack([np.zeros(3), corner]) for corner in edge[::3]]
+    return [np.vstack([edge, edge[:1]]), np.vstack([sector, sector[:1]]), *spokes]
+
+
+def _log_links(rr: Any, stream: Any, flight: Flight) -> None:
+    """Links whose ends see each other as lines, others as arrows from the observer to the robot that is seen."""
+    at, when = flight.poses[..., :3], _when(rr, flight)
+    kinds = sight.sight_class(flight.watch, flight.watch.swapaxes(1, 2))
+    linked = flight.weights > 0
+    for name, chosen in (("mutual", np.triu(kinds == sight.MUTUAL)), ("one_way", kinds == sight.OWN)):
+        t, i, j = np.nonzero(linked & chosen)
+        counts = np.bincount(t, minlength=len(at))
+        eye, seen, weight = at[t, i], at[t, j], flight.weights[t, i, j]
+        if name == "mutual":
+            look, strips = rr.LineStrips3D, np.stack([eye, seen], axis=1)
+            columns = look.columns(strips=strips, radii=-(0.8 + 2.5 * weight))  # negative: pixels
+        else:
+            gap = _GAP / np.maximum(np.linalg.norm(seen - eye, axis=-1, keepdims=True), 2.0 * _GAP)
+            look = rr.Arrows3D
+            columns = look.columns(origins=eye, vectors=(1.0 - gap) * (seen - eye), radii=0.03 + 0.07 * weight)
+        stream.send_columns(f"world/links/{name}", when, columns.partition(counts))
+        stream.log(f"world/links/{name}", look.from_fields(colors=_rgb(getattr(THEME, name))), static=True)
+
+
+def _log_curves(rr: Any, stream: Any, flight: Flight) -> None:
+    """Lambda2 true, estimated and least; yaw errors where the estimate is valid; numbers of links."""
+    scenario = flight.scenario
+    colors = palette.colors_of(scenario, THEME)
+    kinds = sight.sight_class(flight.watch, flight.watch.swapaxes(1, 2))
+    mutual = np.triu((flight.weights > 0) & (kinds == sight.MUTUAL)).sum((1, 2))
+    curves = [("lambda2/min", np.full(len(flight.time), scenario.lambda2_min), THEME.faint, "minimum", 1.0)]
+    curves += [
+        (f"lambda2/{agent}", flight.lambda2_hat[:, i], colors[i], f"estimate of {i + 1}", 1.0)
+        for i, agent in enumerate(scenario.agents)
+    ]
+    curves += [
+        ("lambda2/true", flight.lambda2, THEME.truth, "true", 2.5),
+        ("links/all", flight.n_edges, THEME.text, "links", 1.5),
+        ("links/mutual", mutual, THEME.mutual, "mutual", 1.5),
+    ]
+    error = flight.yaw - flight.yaw_hat
+    error = np.degrees(np.where(flight.yaw_valid, np.arctan2(np.sin(error), np.cos(error)), math.nan))
+    for i, j in np.argwhere(np.isfinite(error).any(0)):
+        path = f"yaw/{scenario.agents[i]}/{scenario.agents[j]}"
+        curves.append((path, error[:, i, j], colors[j], f"{i + 1} of {j + 1}", 1.0))
+    for path, values, color, name, width in curves:
+        look = rr.SeriesLines(colors=_rgb(color), names=name, widths=width)
+        stream.log(f"plots/{path}", look, static=True)
+        stream.send_columns(f"plots/{path}", _when(rr, flight), rr.Scalars.columns(scalars=values.astype(float)))
+
+
+def _when(rr: Any, flight: Flight) -> list[Any]:
+    return [rr.TimeColumn(TIMELINE, duration=flight.time)]
+
+
+def _rgb(color: str) -> list[int]:
+    return [int(color[k : k + 2], 16) for k in (1, 3, 5)]

@@ -1,0 +1,1 @@
+"""What defines an environment: settings, presets and levels, the leader, and scenarios as JSON."""

@@ -1,0 +1,50 @@
+"""A leader whose stick was recorded. The other leaders are words: "waypoints", "none", "random" and "human"."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fovconn_env.errors import as_numbers
+from fovconn_env.files import read_contents
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """Sticks (T, 3), m/s in the leader's yaw frame, one for each step of an episode; after its end the stick is zero.
+
+    Frozen like all settings: the array is a copy that cannot be written to. Raises `ValueError` for another shape, NaN
+    and infinity; that no stick is faster than `Scenario.stick_speed` is the scenario's to check.
+    """
+
+    sticks: np.ndarray
+
+    def __post_init__(self) -> None:
+        sticks = as_numbers("Recorded.sticks", self.sticks).copy()
+        if sticks.ndim != 2 or sticks.shape[1] != 3:
+            raise ValueError(f"Recorded.sticks must have the shape (T, 3), got {sticks.shape}: m/s, one row a step")
+        if not np.isfinite(sticks).all():
+            row = int(np.argwhere(~np.isfinite(sticks))[0, 0])
+            raise ValueError(f"Recorded.sticks must be finite, got {sticks[row].tolist()} in row {row}: m/s")
+        sticks.flags.writeable = False
+        object.__setattr__(self, "sticks", sticks)
+
+    @classmethod
+    def from_file(cls, path: str | Path) -> Recorded:
+        """The sticks of a recorded flight. Raises as `fovconn_env.flights.recording.load` does."""
+        return cls(read_contents(Path(path)).arrays["sticks"])
+
+    def __eq__(self, other: object) -> bool:
+        return np.array_equal(self.sticks, other.sticks) if isinstance(other, Recorded) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self.sticks.tobytes())
+
+    def __repr__(self) -> str:
+        return f"<Recorded of {len(self.sticks)} sticks>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Recorded, (self.sticks,)  # numpy's own copies could be written to

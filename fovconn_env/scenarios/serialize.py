@@ -1,0 +1,75 @@
+"""A scenario as JSON and back, exactly: all settings, maps of one's own, faults and recorded sticks with them.
+
+An object of a settings class is an object with its name under "type"; a number that is not finite is a word.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from fovconn_env.maps.corridor import Corridor
+from fovconn_env.maps.obstacles import Forest, Map
+from fovconn_env.scenarios import settings
+from fovconn_env.scenarios.leader import Recorded
+from fovconn_env.scenarios.presets import Scenario
+
+_GROUPS = [kind for kind in vars(settings).values() if dataclasses.is_dataclass(kind) and isinstance(kind, type)]
+_KINDS: dict[str, type] = {kind.__name__: kind for kind in (Scenario, Forest, Corridor, Recorded, *_GROUPS)}
+_NOT_FINITE = {"inf": math.inf, "-inf": -math.inf}
+
+
+def scenario_to_json(scenario: Scenario) -> dict[str, Any]:
+    """What `json.dumps(..., allow_nan=False)` takes; `scenario_from_json` makes an equal scenario of it."""
+    return _plain(scenario)
+
+
+def scenario_from_json(record: Mapping[str, Any]) -> Scenario:
+    """The scenario of a record; `ValueError` for a setting that there is not, or whose value is refused."""
+    found = _built(record)
+    if not isinstance(found, Scenario):
+        raise ValueError(f"a scenario's record must be an object of type Scenario, got {type(found).__name__}")
+    return found
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Map):
+        return {"type": "Map", "obstacles": value.obstacles()}
+    if dataclasses.is_dataclass(value):
+        fields = {item.name: _plain(getattr(value, item.name)) for item in dataclasses.fields(value)}
+        return {"type": type(value).__name__, **fields}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, (tuple, list)):
+        return [_plain(item) for item in value]
+    value = value.item() if isinstance(value, np.generic) else value
+    if isinstance(value, float) and not math.isfinite(value):
+        return {"type": "float", "value": str(value)}
+    return value
+
+
+def _built(value: Any) -> Any:
+    if isinstance(value, list):
+        return tuple(_built(item) for item in value)
+    if not isinstance(value, Mapping):
+        return value
+    words = dict(value)
+    kind = words.pop("type", None)
+    if kind == "float":
+        return _NOT_FINITE[words["value"]]
+    if kind == "Map":
+        result = Map()
+        for shapes in words["obstacles"]:
+            result.obstacle(shapes)
+        return result
+    if kind not in _KINDS:
+        raise ValueError(f"type must be one of {', '.join(_KINDS)}, got {kind!r}: is it of a newer fovconn_env?")
+    known = {item.name for item in dataclasses.fields(_KINDS[kind])}
+    for name in words:
+        if name not in known:
+            raise ValueError(f"{kind} has no setting {name!r}: is it of another fovconn_env?")
+    return _KINDS[kind](**{name: _built(item) for name, item in words.items()})

@@ -1,0 +1,1 @@
+"""The batched simulator: starts, memory, stepping, and observations as a graph."""

@@ -1,0 +1,372 @@
+"""B worlds of one scenario, stepped together by the compiled kernels. Never resets by itself."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import os
+import pickle
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from operator import attrgetter
+from typing import Literal, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from fovconn_env import layout
+from fovconn_env.errors import as_numbers, check_count, rule
+from fovconn_env.kernel import step
+from fovconn_env.kernel.world import operator
+from fovconn_env.scenarios.leader import Recorded
+from fovconn_env.scenarios.presets import SWITCHES, Scenario
+from fovconn_env.sim.graph import Graph, observed_graph
+from fovconn_env.sim.starts import (
+    NO_ACTIONS,
+    NO_MASK,
+    Scout,
+    Start,
+    allocate,
+    clear,
+    draw_faults,
+    place,
+    scratch,
+)
+
+WORLDS_PER_SLICE = 16  # fewer are not worth the way to another thread
+Leader = Literal["waypoints", "none", "random", "human"]
+_STICK = {column.name: k for k, column in enumerate(layout.SELF) if column.name.startswith("stick_")}
+
+
+def _cores() -> int:
+    """Processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _check_index(field: str, value: object, count: int, what: str) -> None:
+    inside = isinstance(value, (int, np.integer)) and not isinstance(value, bool) and 0 <= value < count
+    rule(bool(inside), field, f"in 0..{count - 1}", value, f"{what} are counted from 0")
+
+
+class Simulator:
+    """A batch of worlds. Single is a batch of one; the adapters hold one of these and no physics of their own.
+
+    Arrays are the simulator's own and are rewritten by the next call; copy what must stay.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        n_worlds: int = 1,
+        *,
+        n_threads: int | None = None,
+        starts: Scenario | None = None,
+    ) -> None:
+        """n_threads: one a core by default. starts: draw start, map and course by this scenario's rules instead."""
+        if not isinstance(scenario, Scenario):
+            hint = "fovconn_env.scenario(id) makes one"
+            raise TypeError(f"Simulator's scenario must be a Scenario, got {scenario!r}: {hint}")
+        check_count("n_worlds", n_worlds, "a batch holds worlds")
+        if n_threads is not None:
+            check_count("n_threads", n_threads, "leave it out for one a core")
+        rules = starts or scenario
+        for name in ("n_agents", "course.legs"):
+            here, there = attrgetter(name)(scenario), attrgetter(name)(rules)
+            rule(there == here, f"starts.{name}", f"the scenario's ({here})", there, "a start must fit the flight")
+        self.scenario, self.starts, self.n_worlds = scenario, rules, n_worlds
+        self.max_cycles = scenario.max_cycles
+        self.params = scenario.params()
+        self.world, self.state = allocate(scenario, n_worlds, 1, 1)
+        self.state.episode["over"] = True  # until the first reset
+        self._scout = Scout(rules)
+        self._rngs: list[np.random.Generator | None] = [None] * n_worlds  # each from its world's first reset on
+        self._n_threads = min(n_threads or _cores(), max(n_worlds // WORLDS_PER_SLICE, 1))
+        self._pool: tuple[int, ThreadPoolExecutor] | None = None
+        warm = scenario.warmup if scenario.lambda2 in ("power", "flooding") else 0.0
+        self._warm_ticks = max(round(warm / scenario.clock.tick), 2)  # two fill the observation
+
+    # ------------------------------------------------------------------------------------------------ results
+    @property
+    def observations(self) -> np.ndarray:
+        """(B, N, D) float32, one flat observation a robot."""
+        return self.state.flat
+
+    @property
+    def rewards(self) -> np.ndarray:
+        """(B, N) of the last step."""
+        return self.state.reward
+
+    @property
+    def terminated(self) -> np.ndarray:
+        """(B,) bool: the episode ended by success, collision or a split team."""
+        return self.state.episode["terminated"]
+
+    @property
+    def truncated(self) -> np.ndarray:
+        """(B,) bool: the episode ended by time."""
+        return self.state.episode["truncated"]
+
+    @property
+    def over(self) -> np.ndarray:
+        """(B,) bool: needs a reset."""
+        return self.state.episode["over"]
+
+    @property
+    def infos(self) -> np.ndarray:
+        """(B, N) records of `layout.INFO`."""
+        return self.state.info
+
+    def poses(self) -> np.ndarray:
+        """The truth, (B, N, 4) float64: x, y, z, yaw in the world frame."""
+        body = self.state.body
+        return np.stack([body[name] for name in ("x", "y", "z", "yaw")], axis=-1)
+
+    def adjacency(self) -> np.ndarray:
+        """The true weights A_ij (6), (B, N, N) float64; tilted axes and blocked sights count, noise does not."""
+        return self.state.pair["weight"].copy()
+
+    def graph(self, b: int | None = None) -> Graph:
+        """The observations as a graph of world b, or of all worlds side by side; of what is true, see `adjacency`."""
+        if b is None:
+            return observed_graph(self.state, slice(None))
+        _check_index("b", b, self.n_worlds, "worlds")
+        return observed_graph(self.state, slice(b, b + 1))
+
+    def privileged(self) -> np.ndarray:
+        """(B, S) float32 for centralised critics, leader's yaw frame: `layout.STATE` a robot, then STATE_TEAM.
+
+        A dead robot has a position and no heading: all else of it is 0.
+        """
+        body, episode = self.state.body, self.state.episode
+        origin = body[np.arange(self.n_worlds), episode["leader"], None]
+        c, s = origin["cos_yaw"], origin["sin_yaw"]
+
+        def turn(dx: np.ndarray, dy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return c * dx + s * dy, c * dy - s * dx
+
+        x, y = turn(body["x"] - origin["x"], body["y"] - origin["y"])
+        cos_yaw, sin_yaw = (heading * body["alive"] for heading in turn(body["cos_yaw"], body["sin_yaw"]))
+        motion = [body[column.name] for column in layout.STATE[5:-1]]
+        robots = np.stack([x, y, body["z"] - origin["z"], cos_yaw, sin_yaw, *motion, self.state.fiedler], axis=-1)
+        here = np.stack([origin[name][:, 0] for name in "xyz"], axis=-1)
+        last = np.maximum(self.world.n_waypoints - 1, 0)
+        goal = self.world.waypoint[np.arange(self.n_worlds), np.minimum(episode["waypoint"], last)]
+        goal = np.where(self.world.n_waypoints[:, None] > 0, goal, here)
+        gx, gy = turn(goal[:, :1] - origin["x"], goal[:, 1:2] - origin["y"])
+        gz = goal[:, 2] - origin["z"][:, 0]
+        stick = [episode[name] for name in ("stick_x", "stick_y", "stick_z")]
+        share = episode["step"] / np.maximum(episode["max_steps"], 1)
+        team = np.stack([episode["lambda2"], *stick, gx[:, 0], gy[:, 0], gz, share], axis=-1)
+        flat = np.concatenate([robots.reshape(self.n_worlds, -1), team], axis=-1).astype(np.float32)
+        return np.clip(flat, *self.privileged_bounds())
+
+    def privileged_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of `privileged`, (S,) float32 each."""
+        scales = self.scenario.scales()
+        robot, team = layout.bounds(layout.STATE, scales), layout.bounds(layout.STATE_TEAM, scales)
+        low, high = (np.concatenate([np.tile(a, self.scenario.n_agents), b]) for a, b in zip(robot, team, strict=True))
+        return low, high
+
+    # ------------------------------------------------------------------------------------------------- actions
+    def reset(
+        self,
+        seed: int | Sequence[int] | None = None,
+        *,
+        mask: np.ndarray | None = None,
+        poses: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Start the masked worlds (all by default) and return the observations, (B, N, D).
+
+        seed: world b gets seed + b, or seed[b]; None goes on with each world's generator. poses: (N, 4) x, y, z, yaw
+        for every masked world. Raises `ValueError`, leaving every world as it was.
+        """
+        chosen = np.ones(self.n_worlds, bool) if mask is None else np.asarray(mask, bool)
+        if chosen.shape != (self.n_worlds,):
+            raise ValueError(f"mask must have the shape ({self.n_worlds},), got {chosen.shape}: one entry a world")
+        seeds = self._seeds(seed)
+        drawn: dict[int, tuple[np.random.Generator, Start, int]] = {}
+        for b in np.flatnonzero(chosen).tolist():
+            rng = self._generator(b) if seeds is None else np.random.default_rng(seeds[b])
+            start = self._scout.draw(rng, poses)
+            key = int(rng.integers(2**63))
+            drawn[b] = rng, start._replace(faults=draw_faults(self.scenario, rng)), key
+        self._make_room(drawn)
+        for b, (rng, start, key) in drawn.items():
+            self._rngs[b] = rng
+            self._place(b, start, key)
+        self._run(step.BEGIN, NO_ACTIONS, chosen)
+        return self.observations
+
+    def step(self, actions: np.ndarray, *, into: np.ndarray | None = None) -> np.ndarray:
+        """Apply actions (B, N, 4), shares in [-1, 1] (`layout.ACTION`; beyond is clipped), and return observations.
+
+        into, (B, N, D) float32, gets a copy of them, made by the threads that step. Worlds whose episode is over stay
+        as they are. Raises `ValueError` for a wrong shape or NaN, naming world and robot, before anything moves.
+        """
+        actions = as_numbers("actions", actions)
+        shape = (self.n_worlds, self.scenario.n_agents, 4)
+        if actions.shape != shape:
+            raise ValueError(
+                f"actions must have the shape {shape}, got {actions.shape}: (worlds, robots, vx vy vz yaw_rate)"
+            )
+        if not np.isfinite(actions).all():
+            b, i, _ = np.argwhere(~np.isfinite(actions))[0]
+            raise ValueError(
+                f"action of uav_{i} of world {b} must be finite, got {actions[b, i].tolist()}: did the policy diverge?"
+            )
+        self._run(step.ADVANCE, actions, NO_MASK, into)
+        return self.observations
+
+    # ------------------------------------------------------------------------------------------------ operator
+    @property
+    def leader(self) -> Leader | Recorded:
+        """What moves the operator's stick in all worlds. "waypoints" and "human" may be set in place of each other.
+
+        It then holds for later episodes, too. A human's stick is zero until it is pushed; who flies along way points
+        goes on to the one that the leader has not reached.
+        """
+        number = int(self.params["leader"][0])
+        words = cast("tuple[Leader, ...]", SWITCHES["leader"])
+        return words[number] if number < len(words) else self.scenario.leader
+
+    @leader.setter
+    def leader(self, kind: Literal["waypoints", "human"]) -> None:
+        pair = ("waypoints", "human")
+        hint = "only a human and the operator of the way points hand over to each other"
+        rule(kind in pair, "Simulator.leader", " or ".join(pair), kind, hint)
+        rule(self.leader in pair, "Simulator.leader", f"{' or '.join(pair)} before {kind!r} is set", self.leader, hint)
+        if kind == self.leader:
+            return
+        self.params["leader"] = SWITCHES["leader"].index(kind)
+        for name in _STICK:
+            self.state.episode[name][~self.over] = 0.0
+        self._resteer()
+
+    def push(self, stick: npt.ArrayLike) -> None:
+        """Give a human leader's stick, (3,) for all worlds or (B, 3), m/s in the leader's yaw frame.
+
+        Longer than `Scenario.stick_speed` is clipped to it. It stays until the next push and is zero after a reset; the
+        leader's observation shows it at once. Worlds whose episode is over stay as they are. Raises `ValueError` for
+        another leader, a wrong shape or NaN, before anything changes.
+        """
+        rule(self.leader == "human", "Simulator.leader", "'human' for a push", self.leader, "the stick is not yours")
+        stick = as_numbers("stick", stick)
+        if stick.shape not in ((3,), (self.n_worlds, 3)):
+            hint = "vx, vy, vz of the leader's yaw frame"
+            raise ValueError(f"stick must have the shape (3,) or ({self.n_worlds}, 3), got {stick.shape}: {hint}")
+        if not np.isfinite(stick).all():
+            raise ValueError(f"stick must be finite, got {stick.tolist()}: m/s; is the joystick calibrated?")
+        speed, limit = np.hypot(np.hypot(stick[..., 0], stick[..., 1]), stick[..., 2]), self.scenario.stick_speed
+        over = speed > limit * (1.0 + 1e-12)  # what is clipped stays as it is when it is pushed again
+        stick = stick * np.where(over, limit / np.where(over, speed, 1.0), 1.0)[..., None]
+        for k, name in enumerate(_STICK):
+            self.state.episode[name][~self.over] = np.broadcast_to(stick, (self.n_worlds, 3))[~self.over, k]
+        self._show_stick()
+
+    def lead(self, robot: int, *, world: int | None = None) -> None:
+        """Make a robot the leader, of one world or of all, from the next step until the end of the episode.
+
+        Observations show it at once: is_leader and the stick, which for a human stays as it was pushed, now in the new
+        leader's yaw frame. Worlds whose episode is over stay as they are. Raises `ValueError` for a robot or world that
+        is not there, for a dead robot, and where there is no leader.
+        """
+        rule(self.leader != "none", "Simulator.leader", "any but none to lead", "none", "nobody holds a stick")
+        _check_index("robot", robot, self.scenario.n_agents, "robots")
+        if world is not None:
+            _check_index("world", world, self.n_worlds, "worlds")
+        chosen = ~self.over & (True if world is None else np.arange(self.n_worlds) == world)
+        dead = chosen & ~self.state.body["alive"][:, robot]
+        if dead.any():
+            raise ValueError(f"robot must be alive to lead, got uav_{robot}, dead in world {dead.argmax()}: see infos")
+        self.state.episode["leader"][chosen] = robot
+        self._resteer()
+
+    def _resteer(self) -> None:
+        """The operator's sticks anew, after a change of leader."""
+        world, state = self.world, self.state
+        operator.resteer(state.body, world.waypoint, world.n_waypoints, world.stick, state.episode, self.params)
+        self._show_stick()
+
+    def _show_stick(self) -> None:
+        """Leaders and sticks into the observations, as a step writes them."""
+        going, own, episode = ~self.over, self.state.own_row, self.state.episode
+        leads = (np.arange(self.scenario.n_agents) == episode["leader"][:, None]) & self.state.body["alive"]
+        own["is_leader"][going] = leads[going]
+        for name, k in _STICK.items():
+            stick = np.clip(episode[name].astype(np.float32), self.world.low[k], self.world.high[k])
+            own[name][going] = np.where(leads, stick[:, None], 0.0)[going]
+
+    def _generator(self, b: int) -> np.random.Generator:
+        """A copy of world b's generator. Before the first reset a fresh one: copies of a new simulator then differ."""
+        rng = self._rngs[b]
+        return np.random.default_rng() if rng is None else copy.deepcopy(rng)
+
+    def _seeds(self, seed: int | Sequence[int] | None) -> list[int] | None:
+        if seed is None:
+            return None
+        whole = (int, np.integer)
+        seeds = [seed + b for b in range(self.n_worlds)] if isinstance(seed, whole) else seed
+        fine = isinstance(seeds, Sequence) and len(seeds) == self.n_worlds
+        if not fine or not all(isinstance(s, whole) and s >= 0 for s in seeds):
+            many = f", or {self.n_worlds} of them" if self.n_worlds > 1 else ""
+            raise ValueError(f"seed must be a whole number, at least 0{many}, got {seed!r}: one a world")
+        return [int(s) for s in seeds]
+
+    def _make_room(self, drawn: dict) -> None:
+        """Grow the padded obstacle arrays to what the new starts need."""
+        n_pieces = max([self.world.piece.shape[1], *(len(start.pieces) for _, start, _ in drawn.values())])
+        n_vertices = max([self.world.vertex.shape[1], *(len(start.vertices) for _, start, _ in drawn.values())])
+        if (n_pieces, n_vertices) == (self.world.piece.shape[1], self.world.vertex.shape[1]):
+            return
+        piece = np.zeros((self.n_worlds, n_pieces), self.world.piece.dtype)
+        vertex = np.zeros((self.n_worlds, n_vertices, 2))
+        piece[:, : self.world.piece.shape[1]], vertex[:, : self.world.vertex.shape[1]] = (
+            self.world.piece,
+            self.world.vertex,
+        )
+        self.world = self.world._replace(piece=piece, vertex=vertex)
+
+    def _place(self, b: int, start: Start, key: int) -> None:
+        """Clear the records of world b and put the start into them."""
+        clear(self.world, self.state, b)
+        self.world.piece[b, : len(start.pieces)], self.world.vertex[b, : len(start.vertices)] = (
+            start.pieces,
+            start.vertices,
+        )
+        self.world.waypoint[b, : len(start.waypoints)] = start.waypoints
+        self.world.n_waypoints[b] = len(start.waypoints)
+        self.world.fault[b] = start.faults
+        place(self.state.body[b], start.poses)
+        self.state.episode["key"][b] = key
+        self.state.episode["max_steps"][b] = self.max_cycles
+
+    def _run(self, task: int, actions: np.ndarray, mask: np.ndarray, into: np.ndarray | None = None) -> None:
+        """Run a task over all worlds; where there are worlds enough, threads take slices of them in turn."""
+        n_slices = 1 if self._n_threads == 1 else min(4 * self._n_threads, self.n_worlds // WORLDS_PER_SLICE)
+        edges = [self.n_worlds * k // n_slices for k in range(n_slices + 1)]
+        slices = iter(list(itertools.pairwise(edges)))  # to take the next one is atomic
+
+        def work() -> None:
+            own = scratch(self.scenario.n_agents)
+            for first, last in slices:
+                step.run(task, self.state, self.world, own, self.params, actions, mask, self._warm_ticks, first, last)
+                if into is not None:
+                    into[first:last] = self.state.flat[first:last]
+
+        if self._n_threads > 1 and (self._pool is None or self._pool[0] != os.getpid()):
+            self._pool = os.getpid(), ThreadPoolExecutor(self._n_threads - 1)  # a forked child has none of its parent
+        helpers = [self._pool[1].submit(work) for _ in range(self._n_threads - 1)] if self._pool else []
+        work()
+        for helper in helpers:
+            helper.result()
+
+    def __getstate__(self) -> dict:
+        return {**self.__dict__, "_pool": None}
+
+    def __setstate__(self, attributes: dict) -> None:
+        self.__dict__.update(attributes)
+        views = layout.rows(self.state.flat, self.scenario.max_neighbors, self.scenario.max_ranges)
+        self.state = self.state._replace(own_row=views.own, neighbor_row=views.neighbors, range_row=views.ranges)
+
+    def __deepcopy__(self, memo: dict) -> Simulator:
+        return pickle.loads(pickle.dumps(self))

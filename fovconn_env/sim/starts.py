@@ -1,0 +1,297 @@
+"""How an episode begins: start poses, way points and obstacles, drawn from a scenario and one generator.
+
+World frame, metres and radians. Draws are bounded: a scenario that leaves no room is a `ValueError`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from fovconn_env import layout
+from fovconn_env.errors import as_numbers
+from fovconn_env.kernel import records, step
+from fovconn_env.kernel.maths.spectrum import N_VECTORS
+from fovconn_env.maps.corridor import Corridor
+from fovconn_env.maps.obstacles import Forest, Map
+from fovconn_env.scenarios.leader import Recorded
+from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.settings import FAULTS
+
+MAX_TRIES = 2000  # starts drawn before giving up
+MAX_MAPS = 20  # random maps drawn before giving up
+MARGIN = 3.0  # m, obstacles reach this far beyond starts and way points
+
+
+class Start(NamedTuple):
+    """Where one episode begins."""
+
+    poses: np.ndarray  # (N, 4) x, y, z, yaw
+    waypoints: np.ndarray  # (W, 3), W = 0 without a course
+    pieces: np.ndarray  # (P,) PIECE
+    vertices: np.ndarray  # (V, 2)
+    faults: np.ndarray = np.zeros(0, records.FAULT)  # (F,)
+
+
+def allocate(scenario: Scenario, n_worlds: int, n_pieces: int, n_vertices: int) -> tuple[records.World, records.State]:
+    """Empty world and state for a batch of `n_worlds` with room for that many obstacle pieces and vertices."""
+    b, n, m, k = n_worlds, scenario.n_agents, scenario.max_neighbors, scenario.max_ranges
+    flooded, entries = (n, n + 1) if scenario.lambda2 == "flooding" else (0, 0)  # rows of a table
+    low, high = observation_bounds(scenario)
+    world = records.World(
+        piece=np.zeros((b, n_pieces), records.PIECE),
+        vertex=np.zeros((b, n_vertices, 2)),
+        waypoint=np.zeros((b, max(scenario.course.legs, 1), 3)),
+        n_waypoints=np.zeros(b, np.int64),
+        fault=np.zeros((b, len(scenario.faults)), records.FAULT),
+        stick=scenario.leader.sticks.copy() if isinstance(scenario.leader, Recorded) else np.zeros((0, 3)),
+        low=low,
+        high=high,
+    )
+    flat = np.zeros((b, n, scenario.observation_size), np.float32)
+    views = layout.rows(flat, m, k)
+    state = records.State(
+        body=np.zeros((b, n), records.BODY),
+        flight=np.zeros((b, n), records.FLIGHT),
+        pair=np.zeros((b, n, n), records.PAIR),
+        own=np.zeros((b, n), records.OWN),
+        sight=np.zeros((b, n, n), records.SIGHT),
+        post=np.zeros((b, scenario.radio.delay, n), records.POST),
+        mail=np.zeros((b, scenario.radio.delay, n, n), records.MAIL),
+        inbox=np.zeros((b, n, n), records.INBOX),
+        track=np.zeros((b, n, n), records.TRACK),
+        belief=np.zeros((b, n), records.BELIEF),
+        beat=np.zeros((b, n, n), np.int64),
+        beat_air=np.zeros((b, scenario.radio.delay, n, n), np.int64),
+        table=np.zeros((b, n, flooded, entries)),
+        air=np.zeros((b, scenario.radio.delay, n, flooded, entries)),
+        mode=np.zeros((b, n, flooded)),
+        episode=np.zeros(b, records.EPISODE),
+        fiedler=np.zeros((b, n)),
+        info=np.zeros((b, n), records.TALLY),
+        reward=np.zeros((b, n)),
+        flat=flat,
+        own_row=views.own,
+        neighbor_row=views.neighbors,
+        range_row=views.ranges,
+    )
+    return world, state
+
+
+def scratch(n_agents: int) -> records.Scratch:
+    """Scratch for a thread that steps teams of `n_agents`."""
+    n = n_agents
+    return records.Scratch(
+        laplacian=np.empty((n, n)),
+        spectrum=np.empty((n + N_VECTORS, n)),
+        order=np.arange(n, dtype=np.uint32),
+        near=np.empty((n * n, 2), np.uint32),
+        who=np.empty(n * n, np.uint32),
+        whom=np.empty(n * n, np.uint32),
+        first=np.empty(n + 1, np.int64),
+    )
+
+
+def observation_bounds(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of a flat observation, (D,) float32 each."""
+    scales, parts = scenario.scales(), []
+    for table, count in (
+        (layout.SELF, 1),
+        (layout.NEIGHBOR, scenario.max_neighbors),
+        (layout.RANGE, scenario.max_ranges),
+    ):
+        parts.append([np.tile(bound, count) for bound in layout.bounds(table, scales)])
+    low, high = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return low, high
+
+
+class Scout:
+    """Draws starts for one scenario and tries them on a world of its own, so that a failed draw changes nothing."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self.params, self.scratch = scenario.params(), scratch(scenario.n_agents)
+        self._stage: tuple[records.World, records.State] | None = None  # where `assess` tries a start
+
+    def draw(self, rng: np.random.Generator, poses: np.ndarray | None = None) -> Start:
+        """A start that keeps the scenario's rules; given `poses` (N, 4) are used as they are, if nothing collides.
+
+        Raises `ValueError` if no start is found, or if given poses overlap or stand in an obstacle.
+        """
+        drawn = isinstance(self.scenario.map, (Forest, Corridor))
+        for _ in range(MAX_MAPS if drawn else 1):
+            start = self._draw_once(rng, poses)
+            if start is not None:
+                return start
+        s = self.scenario.start
+        if poses is not None:
+            raise ValueError(
+                f"Course must leave {s.clearance:g} m for a wall between poses and second way point, found no room in "
+                f"{MAX_MAPS} draws: lengthen Course.leg, lower Start.clearance, or give poses closer together"
+            )
+        raise ValueError(
+            f"Start must allow lambda2 in ({s.lambda2_low:g}, {s.lambda2_high:g}), spacing {s.spacing:g} m and "
+            f"clearance {s.clearance:g} m, found no start in {MAX_TRIES} draws of {self.scenario.n_agents} robots: "
+            "enlarge Start.box, lower spacing or clearance, widen the lambda2 interval, or use a map with more room"
+        )
+
+    def _draw_once(self, rng: np.random.Generator, poses: np.ndarray | None) -> Start | None:
+        scenario = self.scenario
+        if not isinstance(scenario.map, Map):
+            team = check_poses(poses, scenario) if poses is not None else self._poses(rng, None)
+            if team is None:
+                return None
+            waypoints = self._course(rng, team)
+            if scenario.map is None:
+                return self._start(team, waypoints, None)
+            obstacles = self._generated(scenario.map, rng, team, waypoints)
+            if obstacles is not None and poses is not None:
+                check_room(team, obstacles, scenario)
+            if obstacles is None or (poses is None and not self._fits(team, obstacles)):
+                return None
+            return self._start(team, waypoints, obstacles)
+        obstacles = scenario.map
+        team = check_poses(poses, scenario) if poses is not None else self._poses(rng, obstacles)
+        if team is None:
+            return None
+        check_room(team, obstacles, scenario)
+        for _ in range(MAX_TRIES):
+            waypoints = self._course(rng, team)
+            if len(waypoints) == 0 or obstacles.clearance(waypoints).min() >= scenario.start.clearance:
+                return self._start(team, waypoints, obstacles)
+        raise ValueError(
+            f"Course must keep its way points {scenario.start.clearance:g} m from the map's obstacles, found none in "
+            f"{MAX_TRIES} draws: shorten Course.leg or use a map with more room"
+        )
+
+    def _poses(self, rng: np.random.Generator, obstacles: Map | None) -> np.ndarray | None:
+        start, n = self.scenario.start, self.scenario.n_agents
+        sides = np.array(start.box) * [math.sqrt(n / 6), math.sqrt(n / 6), 1.0]
+        for _ in range(MAX_TRIES):
+            poses = np.empty((n, 4))
+            poses[:, :3] = (rng.random((n, 3)) - 0.5) * sides
+            poses[:, 3] = rng.uniform(-np.pi, np.pi, n)
+            if self._fits(poses, obstacles):
+                return poses
+        return None
+
+    def _fits(self, poses: np.ndarray, obstacles: Map | None) -> bool:
+        start = self.scenario.start
+        if obstacles is not None and obstacles.clearance(poses[:, :3]).min() < start.clearance:
+            return False
+        lambda2, least = self.assess(poses, obstacles)
+        return least >= start.spacing and start.lambda2_low < lambda2 < start.lambda2_high
+
+    def assess(self, poses: np.ndarray, obstacles: Map | None = None) -> tuple[float, float]:
+        """True lambda2 of a standing team and the least distance of two centres, m. poses: (N, 4)."""
+        pieces, vertices = obstacles.flatten() if obstacles is not None else NO_OBSTACLES
+        if (
+            self._stage is None
+            or len(pieces) > self._stage[0].piece.shape[1]
+            or len(vertices) > len(self._stage[0].vertex[0])
+        ):
+            self._stage = allocate(self.scenario, 1, max(len(pieces), 1), max(len(vertices), 1))
+        world, state = self._stage
+        clear(world, state, 0)
+        world.piece[0, : len(pieces)], world.vertex[0, : len(vertices)] = pieces, vertices
+        place(state.body[0], poses)
+        step.run(step.BEGIN, state, world, self.scratch, self.params, NO_ACTIONS, np.ones(1, bool), 1, 0, 1)
+        return float(state.episode["lambda2"][0]), float(state.body["nearest"].min())
+
+    def __getstate__(self) -> dict:
+        return {**self.__dict__, "_stage": None}  # a copy's views would be arrays of another type
+
+    def _course(self, rng: np.random.Generator, poses: np.ndarray) -> np.ndarray:
+        course = self.scenario.course
+        if self.scenario.leader == "none":
+            return np.zeros((0, 3))
+        at, heading, points = poses[self.scenario.leader_index, :3], rng.uniform(-np.pi, np.pi), []
+        for _ in range(course.legs):
+            climb = rng.uniform(-course.climb, course.climb)
+            level = math.sqrt(1.0 - climb * climb)
+            at = at + course.leg * np.array([level * math.cos(heading), level * math.sin(heading), climb])
+            points.append(at)
+            heading += rng.choice([-1.0, 1.0]) * rng.uniform(course.turn_low, course.turn_high)
+        return np.array(points)
+
+    def _generated(
+        self, kind: Forest | Corridor, rng: np.random.Generator, poses: np.ndarray, waypoints: np.ndarray
+    ) -> Map | None:
+        """A map drawn for this team and course, None where they leave no room for one."""
+        clearance = self.scenario.start.clearance
+        if isinstance(kind, Corridor):
+            return kind.generate(rng, poses[:, :3], waypoints, clearance)
+        places = np.vstack([poses[:, :3], waypoints])
+        low, high = places[:, :2].min(0) - MARGIN, places[:, :2].max(0) + MARGIN
+        return kind.generate(rng, (low[0], high[0], low[1], high[1]), places, clearance)
+
+    def _start(self, poses: np.ndarray, waypoints: np.ndarray, obstacles: Map | None) -> Start:
+        pieces, vertices = obstacles.flatten() if obstacles is not None else NO_OBSTACLES
+        return Start(poses, waypoints, pieces, vertices)
+
+
+def draw_faults(scenario: Scenario, rng: np.random.Generator) -> np.ndarray:
+    """A scenario's faults in one episode, (F,) FAULT, nothing left open; without any, nothing is drawn.
+
+    Robots that are drawn are neither the leader nor named by another fault, nor twice the same, while there are others.
+    """
+    faults = np.zeros(len(scenario.faults), records.FAULT)
+    if any(fault.robot is None for fault in scenario.faults):
+        spared = {fault.robot for fault in scenario.faults}
+        lead = {scenario.leader_index} if scenario.leader != "none" else set()
+        followers = [i for i in range(scenario.n_agents) if i not in lead]
+        drawn = itertools.cycle(rng.permutation([i for i in followers if i not in spared] or followers).tolist())
+    for record, fault in zip(faults, scenario.faults, strict=True):
+        at = rng.uniform(*fault.at) if isinstance(fault.at, tuple) else fault.at
+        record["robot"] = next(drawn) if fault.robot is None else fault.robot
+        record["kind"], record["at"], record["until"] = FAULTS.index(fault.kind), at, at + fault.lasts
+    return faults
+
+
+NO_OBSTACLES = (np.zeros(0, records.PIECE), np.zeros((0, 2)))
+NO_ACTIONS, NO_MASK = np.zeros((1, 1, 4)), np.zeros(1, bool)
+
+
+def clear(world: records.World, state: records.State, b: int) -> None:
+    """Set the records of world b to zero, those of its map and course, too."""
+    for array in (*state[:-3], world.piece, world.vertex, world.waypoint):  # the last three are views
+        array[b : b + 1].reshape(-1).view(np.uint8).fill(0)  # record by record takes ten times as long
+
+
+def place(bodies: np.ndarray, poses: np.ndarray) -> None:
+    """Write poses (..., 4) into body records (...,)."""
+    for column, name in enumerate(("x", "y", "z", "yaw")):
+        bodies[name] = poses[..., column]
+
+
+def check_poses(poses: np.ndarray, scenario: Scenario) -> np.ndarray:
+    """Given start poses as an (N, 4) float64 array; `ValueError` for a wrong shape, NaN, or robots that overlap."""
+    poses = as_numbers("poses", poses)
+    n = scenario.n_agents
+    if poses.shape != (n, 4):
+        raise ValueError(f"poses must have the shape ({n}, 4), got {poses.shape}: one row x, y, z, yaw per robot")
+    if not np.isfinite(poses).all():
+        robot = int(np.argwhere(~np.isfinite(poses))[0, 0])
+        raise ValueError(f"poses must be finite, got {poses[robot].tolist()} for uav_{robot}: metres and radians")
+    gap = np.linalg.norm(poses[:, None, :3] - poses[None, :, :3], axis=-1)
+    gap[np.diag_indices(n)] = np.inf
+    if gap.min() < scenario.collision_robot:
+        i, j = np.unravel_index(gap.argmin(), gap.shape)
+        raise ValueError(
+            f"poses must keep robots {scenario.collision_robot:g} m apart, got {gap.min():.3g} m between uav_{i} and "
+            f"uav_{j}: nearer counts as a collision"
+        )
+    return poses
+
+
+def check_room(poses: np.ndarray, obstacles: Map, scenario: Scenario) -> None:
+    """`ValueError` if a robot of poses (N, 4) touches an obstacle."""
+    free = obstacles.clearance(poses[:, :3])
+    if free.min() < scenario.collision_obstacle:
+        raise ValueError(
+            f"poses must keep {scenario.collision_obstacle:g} m from obstacles, got {free.min():.3g} m for "
+            f"uav_{free.argmin()}: nearer counts as a collision"
+        )

@@ -1,0 +1,62 @@
+"""Compiled and plain: 50 steps on recorded actions, once with the JIT and once without, agree to 1e-9."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fovconn_env.maps.obstacles import Map
+from fovconn_env.scenarios.settings import Airframe, Camera, Course, Noise
+from fovconn_env.sim.simulator import Simulator
+from tests.helpers import JIT, recorded_actions, small
+
+pytestmark = pytest.mark.nojit
+
+STEPS = 50
+CASES = {
+    "kinematic": {},
+    "quadrotor": {
+        "dynamics": "quadrotor",
+        "airframe": Airframe(rotor_noise=0.01, force_noise=0.2),
+        "noise": Noise(position_noise=0.02, gyro_noise=0.01, attitude_noise=0.01, range_noise=0.02),
+        "camera": Camera(occlusion=True, miss=0.05),
+    },
+}
+
+
+def record(case):
+    """Every field of every step, by name: (STEPS, ...) each, and the observations as they are (float32)."""
+    obstacles = Map().circle((1.5, 1.0), 0.3).polygon([(-4.0, -4.0), (-2.0, -4.0), (-3.0, -3.5), (-4.0, -2.0)])
+    changes = {**CASES[case], "map": obstacles if case == "quadrotor" else None}
+    scenario = small(n_agents=3, course=Course(settle=0.5), patience=1e3, warmup=0.1, **changes)
+    simulator, columns = Simulator(scenario), {}
+    simulator.reset(3)
+    for action in recorded_actions(STEPS, 3, size=0.3):
+        simulator.step(action)
+        assert not simulator.over[0]
+        for name, array in simulator.state._asdict().items():
+            for field in array.dtype.names or ("",):
+                columns.setdefault(f"{name}.{field}", []).append((array[field] if field else array).copy())
+    return {name: np.array(values) for name, values in columns.items()}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_compiled_and_plain_agree(case, tmp_path):
+    program = f"import sys, numpy; from {__name__} import record; numpy.savez(sys.argv[1], **record({case!r}))"
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1" if JIT else "0"}
+    command = [sys.executable, "-c", program, str(tmp_path / "other.npz")]
+    other = subprocess.Popen(command, cwd=Path(__file__).parents[2], env=environment)
+    here = record(case)
+    assert other.wait() == 0
+    with np.load(tmp_path / "other.npz") as there:
+        assert set(there) == set(here)
+        for name, values in here.items():
+            assert not np.isnan(values).any(), name
+            single = values.dtype == np.float32  # the last bit of a single may round the other way
+            np.testing.assert_allclose(values, there[name], rtol=1e-6 if single else 0, atol=1e-9, err_msg=name)
+    assert here["track.present"].any()
+    assert (here["range_row.present"] > 0).any()
+    assert here["reward."].any()

@@ -1,0 +1,139 @@
+"""Presets and their levels: every one starts, levels differ, and the published shares are those of these settings."""
+
+import json
+import math
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fovconn_env
+from fovconn_env import LEVELS, PRESETS, Map, Scenario, Simulator, scenario
+from fovconn_env.sim.starts import Scout, check_room
+from fovconn_env.training.evaluation import evaluate
+from fovconn_env.training.evaluation.flights import SHARES
+
+ROOT = Path(__file__).parents[2]
+SCRIPT = runpy.run_path(str(ROOT / "training/evaluation/levels.py"))
+RECORD = json.loads((ROOT / "docs/results/levels.json").read_text())
+ALL = [(name, level) for name in PRESETS for level in range(1, len(LEVELS.get(name, ())) + 2)]
+SMALL = [(name, level) for name, level in ALL if scenario(name, level=level).n_agents <= 12]
+
+
+@pytest.mark.parametrize("name, level", ALL)
+def test_every_level_starts_as_its_settings_say(name, level):
+    """Connected as asked, apart from each other and from obstacles; the way points lie in free space."""
+    chosen = scenario(name, level=level)
+    simulator = Simulator(chosen, 3 if chosen.n_agents <= 12 else 1)
+    simulator.reset(0)
+    low, high = chosen.start.lambda2_low, chosen.start.lambda2_high
+    for b in range(simulator.n_worlds):
+        start = Scout(chosen).draw(np.random.default_rng(b))
+        gaps = np.linalg.norm(start.poses[:, None, :3] - start.poses[None, :, :3], axis=-1)
+        assert gaps[~np.eye(chosen.n_agents, dtype=bool)].min() >= chosen.start.spacing
+        obstacles = drawn(start)
+        points = np.vstack([start.poses[:, :3], start.waypoints])
+        assert obstacles.clearance(points).min() >= chosen.start.clearance - 1e-6
+        check_room(start.poses, obstacles, chosen)
+        lambda2, _ = Scout(chosen).assess(start.poses, obstacles)
+        assert low < lambda2 < high
+        assert len(start.waypoints) == (0 if chosen.leader == "none" else chosen.course.legs)
+        np.testing.assert_array_equal(start.poses, simulator.poses()[b])
+    simulator.step(np.zeros((simulator.n_worlds, chosen.n_agents, 4)))
+    assert np.isfinite(simulator.observations).all()
+
+
+def drawn(start):
+    """The map of a start, made anew of its pieces."""
+    result = Map()
+    for piece in start.pieces:
+        core = start.vertices[piece["first"] : piece["first"] + piece["count"]]
+        if piece["count"] == 1:
+            result.circle(core[0], piece["radius"])
+        else:
+            result.wall(core[0], core[1], 2 * piece["radius"])
+    return result
+
+
+# --------------------------------------------------------------------------------------------------------- the choice
+def test_level_one_is_the_preset_and_levels_differ():
+    for name, changes in LEVELS.items():
+        found = [scenario(name, level=level) for level in range(1, len(changes) + 2)]
+        assert found[0] == PRESETS[name] == scenario(f"fovconn/{name}")
+        assert all(a != b for k, a in enumerate(found) for b in found[:k])
+        assert {chosen.name for chosen in found} == {name}
+
+
+def test_settings_go_on_top_of_a_level():
+    assert scenario("LossyRadio-v0", level=2, n_agents=4).radio == scenario("LossyRadio-v0", level=2).radio
+    assert scenario("LossyRadio-v0", level=2, **{"radio.loss": 0.5}).radio.delay == 20
+    env = fovconn_env.parallel_env("ScaleUp-v0", level=3, warmup=0.0)
+    assert env.scenario == scenario("ScaleUp-v0", level=3, warmup=0.0)
+
+
+@pytest.mark.parametrize(
+    "base, level, message",
+    [
+        ("Mix-v0", 3, "level must be 1 to 2, got 3: levels of Mix-v0: 2"),
+        ("Mix-v0", 0, "level must be 1 to 2, got 0"),
+        ("Mix-v0", -1, "level must be 1 to 2, got -1"),
+        ("Mix-v0", 1.0, "level must be 1 to 2, got 1.0"),
+        ("Mix-v0", True, "level must be 1 to 2, got True"),
+        ("Mix-v0", "hard", "level must be 1 to 2, got 'hard'"),
+        ("Regroup-v0", 2, "level must be 1, got 2: levels of Regroup-v0: 1"),
+        (Scenario(), 2, "level must go with an id, got 2 with a Scenario"),
+    ],
+)
+def test_no_such_level(base, level, message):
+    with pytest.raises(ValueError, match=message):
+        scenario(base, level=level)
+
+
+def test_the_command_takes_a_level(fovconn):
+    tiny = ("--seeds", "0-1", "--set", "max_cycles=3", "--set", "warmup=0.1", "--out", "flown")
+    shown = fovconn("eval", "--scenario", "YawTrap-v0", "--set", "level=3", *tiny)
+    assert shown.status == 0
+    record = json.loads(Path("flown/results.json").read_text())
+    assert record["scenarios"]["YawTrap-v0"]["noise"]["gyro_bias"] == 0.2
+    wrong = fovconn("eval", "--scenario", "YawTrap-v0", "--set", "level=4", *tiny)
+    assert wrong.status == 2
+    assert "level must be 1 to 3, got 4" in wrong.err
+
+
+# --------------------------------------------------------------------------------------------------------- the record
+def test_the_record_is_of_these_levels():
+    """Run `python training/evaluation/levels.py` where this fails after an intended change."""
+    there = SCRIPT["levels"]()
+    assert set(RECORD["levels"]) == set(there) == set(LEVELS)
+    for name, tasks in there.items():
+        found = RECORD["levels"][name]
+        assert [level["changes"] for level in found] == [SCRIPT["changes"](chosen, Scenario()) for chosen in tasks]
+        assert [level["episodes"] for level in found] == [len(SCRIPT["seeds_of"](chosen)) for chosen in tasks]
+        assert all(list(level["policies"]) == list(SCRIPT["POLICIES"]) for level in found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name, level", [case for case in SMALL if case[0] in LEVELS])
+def test_the_first_episodes_come_out_as_published(name, level):
+    first = RECORD["levels"][name][level - 1]["policies"]["expert"]["first"]
+    episodes = evaluate("expert", scenario(name, level=level), RECORD["seeds"][: len(first["duration"])]).episodes
+    for measure in SHARES:
+        assert first[measure] == episodes[measure].tolist(), measure
+    # rounding differs between processors, and flights are chaotic
+    np.testing.assert_allclose(first["duration"], episodes["duration"], rtol=0.05)
+
+
+def test_a_level_needs_better_estimates():
+    """What the issue asks for: the expert keeps fewer than half of the teams, the oracle nearly all."""
+    levels = [level["policies"] for levels in RECORD["levels"].values() for level in levels if level["episodes"] >= 128]
+    kept = [(found["expert"]["never_disconnected"], found["oracle"]["never_disconnected"]) for found in levels]
+    assert any(expert < 0.5 and oracle >= 0.9 for expert, oracle in kept)
+
+
+def test_in_words():
+    chosen = scenario("Corridor-v0", level=2, **{"start.lambda2_high": math.inf})
+    assert SCRIPT["changes"](chosen, Scenario()) == {
+        "camera.occlusion": "True",
+        "map": "Corridor(width=(3.5, 4))",
+    }

@@ -1,0 +1,199 @@
+"""Random scenarios: a start either keeps all its distances, checked here without pymunk, or ends in a clear error.
+
+A draw is bounded: the random numbers it takes are counted.
+"""
+
+import numpy as np
+import pytest
+
+from fovconn_env import Corridor, Course, Forest, Map, Start, scenario
+from fovconn_env.maps import obstacles as maps_module
+from fovconn_env.sim import starts
+from tests.maps.test_maps import inside_by_even_odd, star
+
+KNOWN = ("Start must allow lambda2 in", "Forest found no room for a", "Course must keep its way points")
+
+
+RING = Map()  # room for the robots, none for a way point 12 m away
+for _angle in np.arange(0.0, 2 * np.pi, 0.1):
+    RING.circle(12 * np.array([np.cos(_angle), np.sin(_angle)]), 4.0)
+
+
+class Counting:
+    """A generator that counts what is drawn from it."""
+
+    def __init__(self, seed):
+        self.rng, self.count = np.random.default_rng(seed), 0
+
+    def __getattr__(self, name):
+        self.count += 1
+        return getattr(self.rng, name)
+
+
+def from_segments(points, a, b):
+    """Distances (n, s) of points (n, 2) to segments a (s, 2) to b (s, 2), which may be points."""
+    along, to = b - a, points[:, None] - a
+    share = np.clip((to * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-30), 0, 1)
+    return np.linalg.norm(to - share[..., None] * along, axis=-1)
+
+
+def crossing(a, b):
+    """Which segments (s, s) cross each other."""
+    along, to = b - a, a[None] - a[:, None]
+    sides = area(along[:, None], to) * area(along[:, None], to + along[None])
+    return (sides < 0) & (sides.T < 0)
+
+
+def area(u, v):
+    return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
+
+
+def plan_distance(points, corners, radius):
+    """Signed distance (n,) of points (n, 2) to one piece in plan: a core of 1, 2 or more corners, rounded."""
+    far = from_segments(points, corners, np.roll(corners, -1, axis=0)).min(1)
+    if len(corners) > 2:
+        far = np.where(inside_by_even_odd(points, corners.tolist()), -far, far)
+    return far - radius
+
+
+def clearances(points, pieces, vertices):
+    """Least distance (n,) of points (n, 3) to the prisms; inside, how deep, or more."""
+    least = np.full(len(points), np.inf)
+    for piece in pieces:
+        corners = vertices[piece["first"] : piece["first"] + piece["count"]]
+        side = plan_distance(points[:, :2], corners, piece["radius"])
+        level = np.maximum(piece["low"] - points[:, 2], points[:, 2] - piece["high"])
+        outside = np.hypot(np.maximum(side, 0), np.maximum(level, 0))
+        least = np.minimum(least, np.where((side < 0) & (level < 0), np.maximum(side, level), outside))
+    return least
+
+
+def gaps(pieces, vertices):
+    """Free space (p, p) in plan between pillars and walls; inf on the diagonal."""
+    a, b = vertices[pieces["first"]], vertices[pieces["first"] + pieces["count"] - 1]
+    to = np.minimum(from_segments(a, a, b), from_segments(b, a, b))
+    between = np.where(crossing(a, b), 0.0, np.minimum(to, to.T)) - pieces["radius"] - pieces["radius"][:, None]
+    between[np.diag_indices(len(pieces))] = np.inf
+    return between
+
+
+def random_forest(rng):
+    radius, length = np.sort(rng.uniform(0.1, 1.2, 2)), np.sort(rng.uniform(0.5, 6.0, 2))
+    low, high = (-100.0, 100.0) if rng.random() < 0.5 else (rng.uniform(-5, 0), rng.uniform(0.5, 5))
+    return Forest(
+        n_pillars=int(rng.integers(0, 9)),
+        pillar_radius=tuple(radius),
+        n_walls=int(rng.integers(0, 4)),
+        wall_length=tuple(length),
+        wall_thickness=rng.uniform(0.05, 0.5),
+        low=low,
+        high=high,
+        gap=rng.uniform(0.0, 2.5),
+    )
+
+
+def random_map(rng):
+    """Obstacles anywhere, also over each other, some where the robots start."""
+    obstacles = Map()
+    for _ in range(rng.integers(1, 5)):
+        angle, heights = rng.uniform(0, 2 * np.pi), {"low": rng.uniform(-9, 0), "high": rng.uniform(0.5, 9)}
+        at = rng.uniform(3, 12) * np.array([np.cos(angle), np.sin(angle)])
+        kind = rng.integers(3)
+        if kind == 0:
+            obstacles.circle(at, rng.uniform(0.1, 1.5), **heights)
+        elif kind == 1:
+            obstacles.wall(at, at + rng.uniform(-4, 4, 2), rng.uniform(0.05, 0.5), **heights)
+        else:
+            obstacles.polygon(at + 0.6 * star(int(rng.integers(99))), rng.uniform(0, 0.3), **heights)
+    return obstacles
+
+
+def random_corridor(rng):
+    width = np.sort(rng.uniform(0.8, 6.0, 2))
+    return Corridor(width=tuple(width), depth=rng.uniform(0.1, 1.5), reach=rng.uniform(2, 20))
+
+
+def random_task(rng):
+    spacing, kind = rng.uniform(0.6, 1.8), rng.random()
+    corridor = kind < 0.2
+    return scenario(
+        n_agents=int(rng.integers(2, 8)),
+        leader="waypoints" if corridor or rng.random() < 0.8 else "none",
+        start=Start(
+            box=(rng.uniform(6, 11), rng.uniform(6, 11), rng.uniform(0.5, 4)),
+            spacing=spacing,
+            clearance=rng.uniform(0.25, 2.0),
+            lambda2_low=rng.uniform(0.0, 0.15),
+        ),
+        course=Course(legs=int(rng.integers(1 + corridor, 5)), leg=rng.uniform(2, 10)),
+        map=random_corridor(rng) if corridor else random_forest(rng) if kind < 0.8 else random_map(rng),
+    )
+
+
+def most_draws(task):
+    """Numbers that a start may take at most."""
+    course = 1 + 3 * task.course.legs
+    if isinstance(task.map, Map):
+        return starts.MAX_TRIES * (2 + course)
+    obstacles = 2
+    if isinstance(task.map, Forest):
+        obstacles = 4 * maps_module._TRIES * (task.map.n_pillars + task.map.n_walls)
+    return starts.MAX_MAPS * (2 * starts.MAX_TRIES + course + obstacles)
+
+
+def check(seed):
+    """Draw one start; is there one? Raises AssertionError if it breaks a rule."""
+    rng = np.random.default_rng([seed, 5])
+    task, counting = random_task(rng), Counting(seed)
+    found, said = None, KNOWN[0]
+    try:
+        found = starts.Scout(task).draw(counting)
+    except ValueError as problem:
+        said = str(problem)
+    assert counting.count <= most_draws(task)
+    assert said.startswith(KNOWN), said
+    if found is None:
+        return False
+    centers, points = found.poses[:, :3], np.vstack([found.poses[:, :3], found.waypoints])
+    apart = np.linalg.norm(centers[:, None] - centers, axis=-1)[np.triu_indices(len(centers), 1)]
+    assert apart.min() >= task.start.spacing - 1e-9
+    assert (clearances(points, found.pieces, found.vertices) >= task.start.clearance - 1e-9).all()
+    assert len(found.waypoints) == (task.course.legs if task.leader == "waypoints" else 0)
+    if isinstance(task.map, Forest):
+        assert (gaps(found.pieces, found.vertices) >= task.map.gap - 1e-9).all()
+        assert len(found.pieces) == task.map.n_pillars + task.map.n_walls
+    if isinstance(task.map, Corridor):
+        near, _, across, _ = found.vertices
+        gap = np.linalg.norm(near - across) - task.map.depth
+        assert task.map.width[0] - 1e-9 <= gap <= task.map.width[1] + 1e-9
+    return True
+
+
+def test_starts_keep_their_distances():
+    found = [check(seed) for seed in range(150)]
+    assert sum(found) >= 120
+
+
+@pytest.mark.slow
+def test_ten_thousand_starts_keep_their_distances():
+    found = [check(seed) for seed in range(10_000)]
+    assert sum(found) >= 9_000
+
+
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        ({"start.lambda2_low": 5.9}, KNOWN[0]),
+        ({"start.spacing": 8.0}, KNOWN[0]),
+        ({"map": Map().circle((0, 0), 9)}, KNOWN[0]),
+        ({"map": Forest(n_pillars=60)}, KNOWN[1]),
+        ({"map": Forest(), "start.clearance": 9.0}, KNOWN[1]),
+        ({"map": RING, "course.leg": 12.0, "start.box": (6.0, 6.0, 1.0)}, KNOWN[2]),
+    ],
+)
+def test_what_leaves_no_room_ends_soon(changes, message, monkeypatch):
+    monkeypatch.setattr(starts, "MAX_TRIES", 50)  # the bound is what is tested, not its size
+    task, counting = scenario(**changes), Counting(0)
+    with pytest.raises(ValueError, match=message):
+        starts.Scout(task).draw(counting)
+    assert counting.count <= most_draws(task)

@@ -1,0 +1,164 @@
+"""Many evaluations at once: the same numbers whatever the processes, nothing flown twice, nothing lost."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fovconn_env import PRESETS, scenario
+from fovconn_env.training.evaluation import campaign, evaluate
+from fovconn_env.training.evaluation.campaign import Cell, Shelf, fingerprint, fly_cells, parse_seeds, suite
+
+ROOT = Path(__file__).parents[2]
+TINY = {"n_agents": 3, "max_cycles": 30, "warmup": 0.2}
+TASK = scenario("LeaderFollow-v0", **TINY)
+CELLS = [Cell("expert", TASK), Cell("oracle", TASK), Cell("expert", scenario("Regroup-v0", **TINY))]
+
+
+def same(a, b):
+    assert (a.policy, a.seeds) == (b.policy, b.seeds)
+    assert a.scenario == b.scenario
+    assert a.episodes.keys() == b.episodes.keys()
+    for name, values in a.episodes.items():
+        np.testing.assert_array_equal(values, b.episodes[name], err_msg=name)
+    np.testing.assert_array_equal(a.histograms, b.histograms)
+
+
+@pytest.fixture
+def blocks(monkeypatch):
+    """Two episodes a block, so that there is something to hand out."""
+    monkeypatch.setattr(campaign, "BLOCK", 2)
+
+
+def test_same_numbers_on_any_number_of_processes(blocks):
+    seeds = [4, 0, 7, 1, 2]
+    told = []
+    one, two = (fly_cells(CELLS, seeds, processes=k, progress=told.append) for k in (1, 2))
+    assert [result.policy for result in two] == ["expert", "oracle", "expert"]
+    for a, b, cell in zip(one, two, CELLS, strict=True):
+        same(a, b)
+        same(a, evaluate(cell.policy, cell.scenario, seeds))
+    assert told[0] >= 0
+    assert told[-1] == len(CELLS) * len(seeds)
+
+
+def test_what_is_there_is_not_flown_again(tmp_path, monkeypatch, blocks):
+    first = fly_cells(CELLS[:1], range(4), folder=tmp_path)
+    file = next(tmp_path.iterdir())
+    more = fly_cells(CELLS[:1], [5, 3, 0], folder=tmp_path)  # two of them are there
+    assert Shelf(tmp_path).load(CELLS[0]).seeds == [0, 1, 2, 3, 5]
+    same(more[0], evaluate("expert", TASK, [5, 3, 0]))
+    monkeypatch.setattr(campaign, "ProcessPoolExecutor", None)  # nothing flies any more
+    same(fly_cells(CELLS[:1], range(4), folder=tmp_path)[0], first[0])
+    with pytest.raises(TypeError):
+        fly_cells(CELLS[:1], range(4), folder=tmp_path, fresh=True)
+    file.write_bytes(file.read_bytes()[:-200])
+    with pytest.raises(ValueError, match=r"is damaged .*: delete it"):
+        fly_cells(CELLS[:1], range(4), folder=tmp_path)
+
+
+def test_another_setting_or_other_code_is_another_file(tmp_path):
+    mine = tmp_path / "mine.py"
+    text = "from fovconn_env.baselines import Expert\nclass Mine(Expert):\n    '''Mine.'''\n"
+    mine.write_text(text)
+    cells = [*CELLS, Cell("expert", scenario(TASK, stick_speed=0.9)), Cell(f"{mine}:Mine", TASK)]
+    prints = [fingerprint(cell) for cell in cells]
+    assert len(set(prints)) == len(cells)
+    mine.write_text(text + "    overrides = {}\n")
+    assert fingerprint(cells[-1]) != prints[-1]
+    mine.write_text(text)
+    assert [fingerprint(cell) for cell in cells] == prints
+
+
+BROKEN = """
+import numpy as np
+from fovconn_env.baselines import Policy
+class Broken(Policy):
+    '''Breaks.'''
+    def decide(self, flat):
+        actions = np.zeros((len(flat), 4))
+        if self.rows(flat).own["vx"].any() or CASE == "shape" or CASE == "error":
+            if CASE == "nan":
+                actions[7, 2] = np.nan
+            if CASE == "shape":
+                return actions[:, :3]
+            if CASE == "error":
+                return 1 / 0
+        return actions
+"""
+COMPLAINTS = {
+    "nan": r"policy Broken must return finite actions, got .*nan.* for uav_1 on LeaderFollow-v0, seed 2, step \d+",
+    "shape": r"policy Broken failed on LeaderFollow-v0 in step 0: Broken.decide must return the shape \(12, 4\)",
+    "error": r"policy Broken failed on LeaderFollow-v0 in step 0: ZeroDivisionError: division by zero",
+}
+
+
+@pytest.mark.parametrize("case", COMPLAINTS)
+def test_a_policy_that_breaks_is_named_and_the_others_are_kept(tmp_path, case):
+    moving = scenario(TASK, **{"course.settle": 0.0})
+    (tmp_path / "broken.py").write_text(f"CASE = {case!r}\n{BROKEN}")
+    cells = [Cell("expert", moving), Cell(f"{tmp_path}/broken.py:Broken", moving)]
+    with pytest.raises(ValueError, match=COMPLAINTS[case]):
+        fly_cells(cells, range(4), folder=tmp_path / "kept", processes=1)
+    assert Shelf(tmp_path / "kept").load(cells[0]).seeds == [0, 1, 2, 3]
+    assert len(list((tmp_path / "kept").iterdir())) == 1
+
+
+def test_two_policies_of_one_name_are_told_apart_by_nobody(tmp_path):
+    for name in "ab":
+        (tmp_path / f"{name}.py").write_text(
+            "from fovconn_env.baselines import Expert\nclass Mine(Expert):\n    '''Mine.'''\n"
+        )
+    with pytest.raises(ValueError, match=r"policies must have different names, got .*a.py. and .*b.py.: rename"):
+        fly_cells([Cell(str(tmp_path / f"{name}.py"), TASK) for name in "ab"], [0])
+
+
+def test_interruption_keeps_what_is_finished(tmp_path):
+    """Ctrl-C some seconds into a campaign of two minutes; the same command then has less to do."""
+    words = [sys.executable, "-m", "fovconn_env.training.cli", "eval", "--seeds", "0-1023", "--out", str(tmp_path)]
+    words += ["--scenario", "LeaderFollow-v0", "--set", "n_agents=3"]
+    variables = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200"}
+    with subprocess.Popen(words, env=variables, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as task:
+        deadline = time.monotonic() + 120
+        while not list(tmp_path.glob("episodes/*.npz")):
+            assert task.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        time.sleep(0.5)
+        task.send_signal(signal.SIGINT)
+        shown, complaint = task.communicate(timeout=60)
+    assert task.returncode == 130
+    assert shown == ""
+    assert "Traceback" not in complaint
+    kept = Shelf(tmp_path / "episodes").load(Cell("expert", scenario("LeaderFollow-v0", n_agents=3)))
+    assert 0 < len(kept.seeds) < 1024
+    assert f"interrupted: {len(kept.seeds)} of 1024 episodes are kept in {tmp_path}/episodes" in complaint
+    alone = evaluate("expert", kept.scenario, kept.seeds[:2])
+    for name, values in alone.episodes.items():
+        np.testing.assert_array_equal(values, kept.episodes[name][:2], err_msg=name)
+
+
+def test_seeds_from_words():
+    assert parse_seeds("0-3") == [0, 1, 2, 3]
+    assert parse_seeds("7") == [7]
+    assert parse_seeds("5-6, 1,6-7") == [5, 6, 1, 7]
+    for bad in ("", "3-1", "-4", "1..3", "a", "1,,2", "1-"):
+        with pytest.raises(ValueError, match=r"seeds must be like 0-319, 7 or 0-31,100-131, got"):
+            parse_seeds(bad)
+
+
+def test_suites():
+    policies, scenarios, seeds = suite("quick")
+    assert "expert" in policies
+    assert "LeaderFollow-v0" in scenarios
+    assert len(set(scenarios)) == 4
+    assert suite("full")[1] == list(PRESETS)
+    assert seeds == suite("full")[2][:32]
+    assert suite("full")[2] == list(range(320))
+    with pytest.raises(ValueError, match="suite must be one of quick, full, got 'fast'"):
+        suite("fast")

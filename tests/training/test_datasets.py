@@ -1,0 +1,178 @@
+"""Recorded flights: what is in the file, and bad ones."""
+
+import json
+
+import numpy as np
+import pytest
+
+from fovconn_env import Recorder, Simulator
+from fovconn_env.baselines import Expert
+from fovconn_env.training.learn import datasets
+from fovconn_env.training.learn.datasets import EPISODES, STEPS, load, record, save
+from tests.helpers import small
+
+SHORT = {"max_cycles": 12}
+
+
+@pytest.fixture(scope="module")
+def episodes():
+    return record("expert", small(**SHORT), [50000, 50007])
+
+
+def test_episodes_are_what_was_flown(episodes, tmp_path):
+    """Robot i of each seed, in order: the same observations, actions, rewards and ends as a flight by hand."""
+    found = list(load(save(episodes, tmp_path / "flights.npz")).each())
+    assert [(e["seed"], e["agent"]) for e in found] == [(seed, i) for seed in (50000, 50007) for i in range(4)]
+    for seed, mine in ((50000, found[:4]), (50007, found[4:])):
+        simulator, expert = Simulator(small(**SHORT)), Expert(small(**SHORT))
+        observations = simulator.reset(seed)
+        for t in range(12):
+            actions = expert.act(observations)
+            for i in range(4):
+                np.testing.assert_array_equal(mine[i]["observations"][t], observations[0, i])
+                np.testing.assert_array_equal(mine[i]["actions"][t], actions[0, i])
+            observations = simulator.step(actions)
+            np.testing.assert_array_equal([e["rewards"][t] for e in mine], simulator.rewards[0].astype(np.float32))
+        np.testing.assert_array_equal([e["observations"][12] for e in mine], observations[0])
+        assert simulator.truncated[0]
+        for episode in mine:
+            assert episode["length"] == 12
+            assert episode["truncations"].tolist() == [False] * 11 + [True]
+            assert not episode["terminations"].any()
+            assert not episode["success"]
+            assert episode["never_disconnected"]
+
+
+def test_recorded_flights_become_episodes():
+    """Flown by hand and broken off after 7 steps: the same observations, actions and rewards as in the air."""
+    hand = small(**SHORT, leader="human")
+    recorder = Recorder(Simulator(hand), ["human", "expert", "expert", "expert"])
+    seen, did, got = [recorder.reset(3).copy()], [], []
+    expert = Expert(hand)
+    for t in range(7):
+        recorder.simulator.push([0.1 * t, 0.0, 0.0])
+        actions = expert.act(recorder.simulator.observations).astype(np.float64)
+        actions[0, 0] = [1.5, 0.0, 0.0, 0.2]  # a hand on the stick, too far
+        did.append(np.clip(actions[0], -1.0, 1.0))
+        seen.append(recorder.step(actions).copy())
+        got.append(recorder.simulator.rewards[0].copy())
+    found = datasets.from_recordings([recorder.recording(), recorder.recording()])
+    assert found.told["policy"] == "human, expert"
+    assert found.arrays["length"].tolist() == [7] * 8
+    for k, episode in enumerate(found.each()):
+        i = k % 4
+        np.testing.assert_array_equal(episode["observations"], np.stack(seen)[:, 0, i])
+        np.testing.assert_array_equal(episode["actions"], np.stack(did)[:, i].astype(np.float32))
+        np.testing.assert_array_equal(episode["rewards"], np.stack(got)[:, i].astype(np.float32))
+        assert episode["truncations"].tolist() == [False] * 6 + [True]
+        assert episode["seed"] == 3
+
+
+def test_recorded_flights_of_several_scenarios_are_refused():
+    flights = []
+    for leader in ("human", "waypoints"):
+        recorder = Recorder(Simulator(small(**SHORT, leader=leader)))
+        recorder.reset(1)
+        recorder.step(np.zeros((1, 4, 4)))
+        flights.append(recorder.recording())
+    with pytest.raises(ValueError, match=r"flights must be of the same settings, got 'others in leader'"):
+        datasets.from_recordings(flights)
+
+
+def test_an_early_end_is_a_termination():
+    """A team that is pulled apart ends before its time, and what follows is in no episode."""
+    episodes = record("zero", small(max_cycles=400), range(50000, 50004))
+    lengths = episodes.arrays["length"]
+    assert lengths.min() < 400
+    for episode in episodes.each():
+        ended = episode["length"] < 400
+        assert episode["terminations"][-1] == ended
+        assert episode["truncations"][-1] != ended
+        assert len(episode["observations"]) == episode["length"] + 1
+        assert episode["never_disconnected"] != ended
+    observations, actions = episodes.pairs()
+    assert len(observations) == len(actions) == lengths.sum()
+    assert (actions == 0).all()
+
+
+def test_others_can_read_it(episodes, tmp_path):
+    """With numpy alone, and without running code of the file."""
+    file = save(episodes, tmp_path / "flights.npz")
+    with np.load(file, allow_pickle=False) as data:
+        told = json.loads(str(data["told"]))
+        assert set(data.files) == {"observations", *STEPS, *EPISODES, "told"}
+        assert data["observations"].shape == (8 * 13, 205)
+    assert told["format"] == "fovconn-episodes-1"
+    assert told["policy"] == "expert"
+    assert told["scenario"]["n_agents"] == 4
+    assert told["action_units"] == [2.5, 2.5, 2.5, 1.0]
+    assert told["columns"]["action"] == ["vx", "vy", "vz", "yaw_rate"]
+
+
+# ---------------------------------------------------------------------------------------------------- bad input
+def changed(episodes, name, change):
+    arrays = {key: array.copy() for key, array in episodes.arrays.items()}
+    arrays[name] = change(arrays[name])
+    return episodes._replace(arrays=arrays)
+
+
+def poisoned(array):
+    array[13 + 5, 7] = np.nan  # the second episode's sixth
+    return array
+
+
+BROKEN = {
+    "nan": (
+        lambda e: changed(e, "observations", poisoned),
+        r"observations .* uav_1 of seed 50000, step 5, column 7",
+    ),
+    "inf": (lambda e: changed(e, "rewards", lambda a: a + np.inf), "rewards of .* must be finite, got inf for uav_0"),
+    "rows missing": (lambda e: changed(e, "actions", lambda a: a[:-1]), "actions of .* must be 96 rows, got 95"),
+    "no episode": (lambda e: changed(e, "length", lambda a: a[:0]), "episodes of .* must be at least 1"),
+    "format": (
+        lambda e: e._replace(told={**e.told, "format": "x"}),
+        "format .* must be fovconn-episodes-1, got 'x'",
+    ),
+    "columns": (lambda e: e._replace(told={**e.told, "columns": {}}), "another observation layout"),
+}
+
+
+@pytest.mark.parametrize("what", BROKEN)
+def test_bad_data_is_one_clear_line(what, episodes, tmp_path):
+    damage, message = BROKEN[what]
+    file = save(damage(episodes), tmp_path / "flights.npz")
+    with pytest.raises(ValueError, match=message) as problem:
+        load(file)
+    assert "\n" not in str(problem.value)
+
+
+def test_a_damaged_file(episodes, tmp_path):
+    file = save(episodes, tmp_path / "flights.npz")
+    file.write_bytes(file.read_bytes()[:-200])
+    with pytest.raises(ValueError, match="must be a data set, got another or a damaged file"):
+        load(file)
+    with pytest.raises(ValueError, match=r"data set must be a file that exists, got .*none\.npz"):
+        load(tmp_path / "none.npz")
+    np.savez(tmp_path / "other.npz", a=np.zeros(3))
+    with pytest.raises(ValueError, match="must be a data set"):
+        load(tmp_path / "other.npz")
+    np.savez(tmp_path / "code.npz", told=np.array([object()], dtype=object))
+    with pytest.raises(ValueError, match="must be a data set"):
+        load(tmp_path / "code.npz")
+
+
+def test_the_command(fovconn, tmp_path):
+    words = ("--seeds", "50000-50001", "--set", "n_agents=3", "--set", "max_cycles=9", "--set", "warmup=0.5")
+    shown = fovconn("train", "record", "--policy", "follow", *words, "--out", "data/follow.npz")
+    assert shown.status == 0
+    assert "wrote data/follow.npz: 6 episodes, 54 steps" in shown.out
+    assert datasets.load(tmp_path / "data" / "follow.npz").told["policy"] == "follow"
+    for words, message in (
+        (("--policy", "folow"), "did you mean 'follow'"),
+        (("--out", "follow.txt"), "--out must be a file that ends in .npz"),
+        (("--scenario", "LeaderFolow-v0"), "did you mean 'LeaderFollow-v0'"),
+    ):
+        shown = fovconn("train", "record", *words)
+        assert shown.status == 2
+        assert message in shown.err
+        assert shown.err.count("\n") == 1

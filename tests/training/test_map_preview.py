@@ -1,0 +1,113 @@
+"""`fovconn figures --map`, and maps from files on the command line."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.collections import PolyCollection
+from PIL import Image
+
+from fovconn_env import Map, scenario
+from fovconn_env.render.figures.plan import draw_plan
+from tests.made_flight import GROUND
+
+TINY = ("--set", "n_agents=3", "--set", "max_cycles=20", "--set", "warmup=0.2")
+
+
+def texts(figure):
+    return [text.get_text() for axes in figure.axes for text in axes.texts]
+
+
+def test_the_plan_shows_every_obstacle_and_its_heights():
+    obstacles = Map().circle((7, 2), 0.5).polygon([(-9, 0), (-7, 0), (-7, 3)], low=-1.5, high=2)
+    figure = draw_plan(obstacles, scenario(n_agents=3))
+    shown = texts(figure)
+    assert shown[:2] == ["0", "1: -1.5 to 2 m"]
+    assert shown[2] == "16.5 x 3.0 m"  # -9 to 7.5, 0 to 3
+    free, solid = (c for c in figure.axes[0].collections if isinstance(c, PolyCollection))
+    pillar = solid.get_paths()[0].vertices
+    low, high = pillar.min(axis=0), pillar.max(axis=0)
+    np.testing.assert_allclose([*low, *high], [6.5, 1.5, 7.5, 2.5], atol=1e-2)
+    around = free.get_paths()[0].vertices
+    np.testing.assert_allclose(np.hypot(*(around - (7, 2)).T), 0.5 + scenario().start.clearance)
+    (left, right), (bottom, top) = figure.axes[0].get_xlim(), figure.axes[0].get_ylim()
+    assert left < -9 < 7.5 < right
+    assert bottom < -9 / np.sqrt(2) / 2 < 3 < top  # the box of three robots
+
+
+def test_a_map_of_one_height_has_no_scale_of_colours_and_a_crowded_one_no_labels():
+    assert len(draw_plan(GROUND, scenario()).axes) == 1
+    crowd = Map()
+    for k in range(60):
+        crowd.circle((k, 0), 0.1, high=k)
+    figure = draw_plan(crowd, scenario())
+    assert len(figure.axes) == 2
+    assert texts(figure) == ["59.2 x 0.2 m"]
+    assert draw_plan(Map(), scenario()).axes[0].texts[:] == []
+
+
+def test_starts_are_those_of_the_seeds(fovconn, monkeypatch):
+    from fovconn_env import Simulator
+    from fovconn_env.render.figures import plan
+
+    seen = []
+    monkeypatch.setattr(plan, "draw_plan", lambda *given: seen.append(given) or draw_plan(*given))
+    GROUND.to_file("ground.json")
+    words = ("figures", "--map", "ground.json", "--scenario", "LeaderFollow-v0", "--seeds", "3-4", "--out", "drawn")
+    shown = fovconn(*words)
+    assert (shown.status, shown.out) == (0, "wrote drawn/map_ground.png\n")
+    with Image.open("drawn/map_ground.png") as picture:
+        assert picture.width == 1200
+    ((obstacles, task, starts, title),) = seen
+    assert obstacles == task.map == GROUND
+    assert title == "ground.json, starts of LeaderFollow-v0"
+    simulator = Simulator(scenario(map=GROUND))
+    for seed, (poses, waypoints) in zip((3, 4), starts, strict=True):
+        simulator.reset(seed)
+        np.testing.assert_array_equal(poses[:, :2], simulator.poses()[0, :, :2])
+        np.testing.assert_array_equal(waypoints, simulator.world.waypoint[0])
+
+
+def test_a_map_without_room_is_drawn_all_the_same(fovconn):
+    Map().circle((0, 0), 7).to_file("full.json")
+    shown = fovconn("figures", "--map", "full.json", "--scenario", "LeaderFollow-v0", "--out", "drawn")
+    assert shown.status == 0
+    assert "not all starts are drawn: seed 0: Start must allow lambda2" in shown.out
+    assert Path("drawn/map_full.png").is_file()
+    plain = fovconn("figures", "--map", "full.json")
+    assert plain.out == "wrote out/figures/map_full.png\n"
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        (("--map", "nowhere.json"), "No such file or directory: 'nowhere.json'"),
+        (("--map", "broken.json"), "broken.json: a .json map must be JSON"),
+        (("--map", "broken.json", "--ablations"), "figures must be told which, got --ablations and --map"),
+        (("--ablations", "--scenario", "Regroup-v0"), "--scenario must come with --map, got 'Regroup-v0'"),
+        (("--map", "fine.json", "--scenario", "Nowhere-v0"), "scenario must be one of LeaderFollow-v0, "),
+        (("--map", "fine.json", "--seeds", "x"), "seeds must be like 0-319"),
+        (("--map", "fine.json", "--out", "fine.json"), "--out must name a folder"),
+    ],
+)
+def test_bad_words_end_with_one_clear_line(fovconn, words, message):
+    Path("broken.json").write_text("{")
+    GROUND.to_file("fine.json")
+    shown = fovconn("figures", *words)
+    assert shown.status == 2
+    assert message in shown.err
+    assert "Traceback" not in shown.err
+    assert {file.name for file in Path().iterdir()} == {"broken.json", "fine.json"}
+
+
+def test_eval_flies_on_a_map_from_a_file(fovconn):
+    GROUND.to_file("ground.json")
+    words = ("eval", "--seeds", "0-1", *TINY, "--processes", 1, "--out", "here")
+    shown = fovconn(*words, "--set", "map=ground.json", "--set", "start.clearance=0.5")
+    assert shown.status == 0
+    (there,) = json.loads(Path("here/results.json").read_text())["scenarios"].values()
+    assert len(there["map"]["pieces"]) == len(GROUND.flatten()[0])
+    wrong = fovconn(*words, "--set", "map=nowhere.svg")
+    assert wrong.status == 2
+    assert "nowhere.svg" in wrong.err

@@ -1,0 +1,360 @@
+"""Comparisons, tables, the report's files, the export: numbers recomputed here, and whatever may be missing."""
+
+import json
+import math
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from scipy import stats
+
+pytest.importorskip("matplotlib")
+pytest.importorskip("jinja2")
+
+from fovconn_env import scenario
+from fovconn_env.training.evaluation import evaluate
+from fovconn_env.training.evaluation.comparison import (
+    compare,
+    difference_table,
+    estimator_table,
+    figures,
+    overall_table,
+    percent,
+    scenario_table,
+)
+from fovconn_env.training.evaluation.marl_eval import to_marl_eval
+from fovconn_env.training.evaluation.pictures import looks
+from fovconn_env.training.evaluation.report import MOST_LOST, lost_table, write_report
+from fovconn_env.training.evaluation.statistics import Estimate, paired_share_difference, share_interval
+
+HEAD = {"seeds": "0-23", "date": "2026-01-01", "settings": "n_agents=3 | max_cycles<=40"}
+NOTES = {"oracle": "an oracle: knows <the truth>"}
+POLICIES = ("expert", "random", "oracle", "expert-no-yaw", "my_own|policy")
+SEEDS = list(range(24))
+VOID = {"area", "base", "br", "col", "embed", "hr", "img", "input", "link", "meta", "source", "track", "wbr"}
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """The expert on both kinds of task, a few short episodes."""
+    return {
+        name: evaluate("expert", scenario(name, n_agents=3, max_cycles=40), SEEDS[:4])
+        for name in ("LeaderFollow-v0", "Regroup-v0")
+    }
+
+
+@pytest.fixture
+def team(flown):
+    """Evaluations of made-up policies, as different as their names; arguments: policies, seeds, scenarios."""
+
+    def make(policies=POLICIES, seeds=SEEDS, names=tuple(flown)):
+        return [fake(flown[name], policy, seeds) for name in names for policy in policies]
+
+    return make
+
+
+def fake(model, policy, seeds):
+    """Episodes of a policy that was never flown: every measure of the model's, some of them drawn."""
+    rng = np.random.default_rng([len(policy), *policy.encode(), len(model.scenario.name)])
+    count, skill = len(seeds), {"expert": 0.9, "random": 0.2}.get(policy, 0.7)
+    kept, collision = (rng.random(count) < skill) * 1.0, (rng.random(count) < 0.1) * 1.0
+    time = rng.uniform(1.0, 9.0, count)
+    episodes = {name: np.resize(values, count) for name, values in model.episodes.items()}
+    episodes |= {
+        "never_disconnected": kept,
+        "success": kept * (1.0 - collision),
+        "collision": collision,
+        "first_disconnection": np.where(kept == 1.0, math.nan, time),
+        "duration": np.where(kept == 1.0, 10.0, time),
+        "split_cause": np.where(kept == 1.0, 0.0, rng.integers(1, 4, count)),
+        "split_lambda2_hat": np.where(kept == 1.0, math.nan, rng.random(count)),
+        "split_alignment": np.where(kept == 1.0, math.nan, rng.random(count)),
+        "progress": rng.random(count) if model.scenario.leader == "waypoints" else np.full(count, math.nan),
+        "sct": kept * rng.random(count),
+        "return": 50.0 * kept + rng.normal(size=count),
+    }
+    return model._replace(
+        policy=policy,
+        seeds=list(seeds),
+        episodes=episodes,
+        histograms=np.resize(model.histograms, (count, *model.histograms.shape[1:])),
+    )
+
+
+def of(evaluations, policy, name="LeaderFollow-v0"):
+    return next(found for found in evaluations if found.policy == policy and found.scenario.name == name).episodes
+
+
+def column(table, head):
+    names, rows = table
+    return {row[0]: row[names.index(head)] for row in rows}
+
+
+# ------------------------------------------------------------------------------------------------------------- tables
+def test_cells():
+    assert percent(Estimate(0.975, 0.9501, 0.9899)) == "97.5 [95, 99]"
+    assert percent(Estimate(1.0, 0.9, 1.0)) == "100 [90, 100]"
+    assert percent(Estimate(1.0, 0.9962, 1.0)) == "100 [99.6, 100.0]"
+    assert percent(Estimate(0.0, 0.0, 0.004)) == "0 [0.0, 0.4]"
+    assert percent(Estimate(0.5, math.nan, math.nan)) == "50.0"
+    assert [figures(value) for value in (0.0, 0.000123, 1234.0, math.nan)] == ["0", "0.00012", "1200", "-"]
+
+
+def test_results_are_what_the_episodes_say(team):
+    evaluations = team()
+    comparison = compare(evaluations)
+    expert, random, own = (of(evaluations, name) for name in ("expert", "random", "oracle"))
+    result = comparison.results["LeaderFollow-v0", "oracle"]
+    assert result.kept == (own["never_disconnected"].mean(), *share_interval(own["never_disconnected"]))
+    assert result.collisions == own["collision"].sum()
+    assert result.success_difference == paired_share_difference(own["success"], expert["success"])
+    connected = (own["connected_share"] - expert["connected_share"]).mean()
+    assert result.connected_difference.value == pytest.approx(connected)
+    assert result.progress_difference.value == pytest.approx(np.nanmean(own["progress"] - expert["progress"]))
+    zero, one = random["sct"].mean(), expert["sct"].mean()
+    scores = (own["sct"] - zero) / (one - zero)
+    assert result.scores is not None
+    np.testing.assert_allclose(result.scores, scores)
+    assert result.score.value == pytest.approx(stats.trim_mean(scores, 0.25))
+    pairs = [(a > b) + 0.5 * (a == b) for a in own["sct"] for b in expert["sct"]]
+    assert result.better.value == pytest.approx(np.mean(pairs))
+    assert comparison.results["LeaderFollow-v0", "expert"].scores.mean() == pytest.approx(1.0)
+    assert comparison.results["LeaderFollow-v0", "random"].scores.mean() == pytest.approx(0.0)
+
+
+def test_scenario_table(team):
+    evaluations = team()
+    table = scenario_table(compare(evaluations, NOTES), "LeaderFollow-v0")
+    own = of(evaluations, "oracle")
+    low, high = share_interval(own["never_disconnected"])
+    text = f"{100 * own['never_disconnected'].mean():.1f} [{100 * low:.0f}, {100 * high:.0f}]"
+    assert column(table, "kept %")["oracle †"] == text
+    assert column(table, "collided")["oracle †"] == f"{own['collision'].sum():.0f}"
+    assert column(table, "connected")["oracle †"] == f"{100 * own['connected_share'].mean():.2f} %"
+    assert column(table, "> expert %")["expert"] == "-"
+    assert [row[0] for row in table[1]] == ["expert", "random", "oracle †", "expert-no-yaw", "my_own|policy"]
+
+
+def test_overall_table(team):
+    evaluations = team()
+    comparison = compare(evaluations)
+    means = [of(evaluations, "oracle", name)["success"].mean() for name in comparison.scenarios]
+    assert column(overall_table(comparison), "mean success %")["oracle"] == f"{100 * np.mean(means):.1f}"
+    scores = [comparison.results[name, "oracle"].scores for name in comparison.scenarios]
+    total = next(total for total in comparison.overall if total.policy == "oracle")
+    assert total.score.value == pytest.approx(stats.trim_mean(np.concatenate(scores), 0.25))
+    better = [comparison.results[name, "oracle"].better.value for name in comparison.scenarios]
+    assert total.better.value == pytest.approx(np.mean(better))
+
+
+def test_tables_fit_a_terminal(team):
+    """Names of 19 letters, the longest of ours with a mark, and two blanks between columns."""
+    for head, rows in (scenario_table(compare(team(), NOTES), name) for name in ("LeaderFollow-v0", "Regroup-v0")):
+        widths = [max(len(cell) for cell in cells) for cells in zip(head, *rows, strict=True)]
+        assert 19 + sum(widths[1:]) + 2 * len(widths[1:]) <= 120
+
+
+def test_policies_must_have_flown_the_same(team):
+    evaluations = team(policies=("expert", "omni"), names=("Regroup-v0",))
+    with pytest.raises(ValueError, match="same seeds of Regroup-v0"):
+        compare([evaluations[0], evaluations[1]._replace(seeds=SEEDS[1:])])
+    with pytest.raises(ValueError, match="'expert' twice"):
+        compare([evaluations[0], evaluations[0]])
+
+
+def test_who_did_not_fly_everywhere_is_in_no_overall_row(team):
+    comparison = compare(team()[:-1])
+    assert "my_own|policy" in comparison.policies
+    assert "my_own|policy" not in {total.policy for total in comparison.overall}
+
+
+@pytest.mark.parametrize("policies", [("omni", "random"), ("expert", "omni"), ("omni",)])
+def test_without_expert_or_random_there_are_no_scores(team, policies):
+    comparison = compare(team(policies))
+    head, rows = scenario_table(comparison, "LeaderFollow-v0")
+    assert len(rows) == len(policies)
+    assert "score IQM" not in head
+    assert ("> expert %" in head) == ("expert" in policies)
+    assert len(difference_table(comparison, "LeaderFollow-v0")[0]) == (5 if "expert" in policies else 1)
+
+
+def test_no_score_where_random_is_as_good(team):
+    evaluations = [
+        found._replace(policy={"expert": "random", "random": "expert"}[found.policy])
+        for found in team(("expert", "random"))
+    ]
+    assert all(result.scores is None for result in compare(evaluations).results.values())
+
+
+def test_what_was_not_measured_is_a_dash(team):
+    """Regroup has no stick, hence no progress."""
+    comparison = compare(team())
+    assert set(column(scenario_table(comparison, "Regroup-v0"), "progress").values()) == {"-"}
+    assert "progress" not in difference_table(comparison, "Regroup-v0")[0]
+    assert len(estimator_table(comparison, "Regroup-v0")[1]) == len(POLICIES)
+
+
+def test_lost_teams_of_the_expert_come_first(team):
+    evaluations = team(("expert-no-yaw", "expert", "omni"))
+    (head, rows), total = lost_table(compare(evaluations), "LeaderFollow-v0")
+    lost = {
+        name: np.flatnonzero(of(evaluations, name)["never_disconnected"] == 0.0) for name in ("expert", "expert-no-yaw")
+    }
+    assert [row[:2] for row in rows] == [[name, str(k)] for name in lost for k in lost[name]][:MOST_LOST]
+    assert total == sum(len(seeds) for seeds in lost.values())
+    assert (
+        rows[0][head.index("time, s")] == f"{of(evaluations, 'expert')['first_disconnection'][lost['expert'][0]]:.2f}"
+    )
+
+
+# -------------------------------------------------------------------------------------------------------------- files
+class Page(HTMLParser):
+    """Checks that tags are closed in order; collects addresses and words."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.addresses, self.words, self.tags = [], [], [], []
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.addresses += [value for name, value in attrs if name in ("src", "href", "srcset", "action", "data")]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+@pytest.fixture(scope="module")
+def written(flown, tmp_path_factory):
+    """Folder and files of a report on made-up policies."""
+    folder = tmp_path_factory.mktemp("report")
+    evaluations = [fake(flown[name], policy, SEEDS) for name in flown for policy in POLICIES]
+    return folder, write_report(compare(evaluations, NOTES), folder, HEAD)
+
+
+def test_files(written):
+    folder, files = written
+    assert files[:2] == [folder / "report.md", folder / "report.html"]
+    assert sorted(folder.rglob("*.*")) == sorted(files)
+    assert len(files) == 2 + 4 * 2
+    for picture in files[2:]:
+        assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+        assert picture.stat().st_size > 5000
+
+
+def test_html(written):
+    folder, files = written
+    text = (folder / "report.html").read_text("utf-8")
+    page = Page(text)
+    words = "".join(page.words)
+    for policy in ("expert", "random", "oracle †", "expert-no-yaw", "my_own|policy"):
+        assert words.count(policy) >= 2
+    for value in (*HEAD.values(), "† an oracle: knows <the truth>"):
+        assert value in words
+    assert page.tags.count("img") == len(files) - 2
+    assert all(re.match(r"#[\w-]+$|data:image/png;base64,", address) for address in page.addresses)
+    assert not re.search(r"https?:|//\w|@import|url\(", re.sub(r"base64,[A-Za-z0-9+/=]+", "", text))
+    anchors = [address[1:] for address in page.addresses if address[0] == "#"]
+    assert all(f'id="{anchor}"' in text for anchor in anchors)
+    assert len(set(anchors)) == len(anchors) == 4
+
+
+def test_markdown(written):
+    folder, files = written
+    text = (folder / "report.md").read_text("utf-8")
+    named = re.findall(r"!\[[^\]]*\]\(([^)]+)\)", text)
+    assert [folder / name for name in named] == files[2:]
+    assert r"| my\_own\|policy |" in text
+    assert r"settings: n\_agents=3 \| max\_cycles\<=40" in text
+    for table in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE):
+        assert len({len(re.findall(r"(?<!\\)\|", line)) for line in table.splitlines()}) == 1
+
+
+def test_the_same_again(written, team, tmp_path):
+    """Byte for byte, in another folder too."""
+    for old, new in zip(written[1], write_report(compare(team(), NOTES), tmp_path, HEAD), strict=True):
+        assert old.read_bytes() == new.read_bytes(), new.name
+
+
+@pytest.mark.parametrize(
+    "policies, seeds",
+    [(("omni",), [7]), (("expert",), [7]), (("random", "omni"), SEEDS[:3]), ((*POLICIES, *"abcdefghijk"), SEEDS)],
+    ids=["one policy, one episode", "the expert alone", "no expert", "sixteen"],
+)
+def test_reports_on_less_and_on_more(team, policies, seeds, tmp_path):
+    files = write_report(compare(team(policies, seeds, ("Regroup-v0",))), tmp_path, {})
+    assert (
+        "Regroup-v0_differences.png" in {file.name for file in files}
+        or policies[0] != POLICIES[0]
+        or len(policies) == 1
+    )
+    words = "".join(Page(files[1].read_text("utf-8")).words)
+    assert all(policy in words for policy in policies)
+
+
+def test_evaluations_as_they_come(flown, tmp_path):
+    assert len(write_report(compare(list(flown.values())), tmp_path, HEAD)) == 2 + 3 * 2  # nothing to be different from
+
+
+def test_links_lead_to_the_definitions(team, tmp_path, monkeypatch):
+    """Inside of the repository only, else there is nothing to link to."""
+    monkeypatch.setattr("fovconn_env.training.evaluation.report.ROOT", tmp_path)
+    monkeypatch.setattr("fovconn_env.training.evaluation.report.METRICS", tmp_path / "docs" / "metrics.md")
+    folder = tmp_path / "out" / "eval"
+    for path in (folder, tmp_path / "docs"):
+        path.mkdir(parents=True)
+    (tmp_path / "docs" / "metrics.md").touch()
+    files = write_report(compare(team(("omni",), names=("Regroup-v0",))), folder, {})
+    assert "[docs/metrics.md](../../docs/metrics.md)" in files[0].read_text("utf-8")
+    assert 'href="../../docs/metrics.md"' in files[1].read_text("utf-8")
+
+
+def test_every_policy_looks_different():
+    found = looks([f"policy-{k}" for k in range(15)] + ["expert"])
+    assert len(set(found.values())) == 16
+    assert found["expert"] == looks(["expert"])["expert"]
+
+
+# ------------------------------------------------------------------------------------------------------------- export
+def test_marl_eval(team):
+    evaluations = team()
+    found = json.loads(json.dumps(to_marl_eval(evaluations), allow_nan=False))
+    assert set(found) == {"fovconn"}
+    assert set(found["fovconn"]) == {"LeaderFollow-v0", "Regroup-v0"}
+    for task, policies in found["fovconn"].items():
+        assert set(policies) == set(POLICIES)
+        for policy, runs in policies.items():
+            assert list(runs) == [f"run_{k}" for k in range(8)]  # of three seeds; 24 has no greater divisor up to 10
+            values = [value for run in runs.values() for value in run["absolute_metrics"]["return"]]
+            assert values == of(evaluations, policy, task)["return"].tolist()
+            for run in runs.values():
+                assert list(run["absolute_metrics"]) == ["return", "sct", "success", "never_disconnected"]
+                assert run["step_0"] == {"step_count": 0, **run["absolute_metrics"]}
+
+
+def test_marl_eval_has_progress_where_all_have(team):
+    """Episodes that lack it are left out of a run, the metric where a run has none."""
+    evaluations = team(("expert", "omni"), SEEDS[:14], ("LeaderFollow-v0",))
+    progress = evaluations[1].episodes["progress"]
+    progress[2:5] = [math.nan, 0.25, 0.5]
+    runs = to_marl_eval(evaluations)["fovconn"]["LeaderFollow-v0"]["omni"]
+    assert len(runs) == 7
+    assert [runs[f"run_{k}"]["absolute_metrics"]["progress"] for k in (1, 2)] == [[0.25], [0.5, progress[5]]]
+    progress[3] = math.nan
+    runs = to_marl_eval(evaluations)["fovconn"]["LeaderFollow-v0"]["omni"]
+    assert "progress" not in runs["run_2"]["absolute_metrics"]
+
+
+def test_marl_eval_refuses_names_it_would_mix_up(team):
+    for names, message in ((("a,b",), "no comma"), (("Omni", "omni"), "more than case")):
+        with pytest.raises(ValueError, match=message):
+            to_marl_eval(team(names))
+    assert set(to_marl_eval(team()[:-1])["fovconn"]["Regroup-v0"]) == set(POLICIES) - {"my_own|policy"}

@@ -1,0 +1,149 @@
+"""Two trees of this project side by side: a program runs in each, in a process of its own, by that tree's own code.
+
+    python -m fovconn_env.training.bench.trees --baseline ../other
+
+flies every level with several policies in both trees and compares hashes of the state and of what the robots got.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import textwrap
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+HERE = Path(__file__).resolve().parents[2]
+LAWS = ("expert", "cohesive", "follow", "springs", "residual")
+EVERY = 100  # steps between two hashes
+
+# Names that a program may use, found in this tree's rooms or in those of 0.1.0 (commit 66e4a23).
+PRELUDE = """
+import hashlib, inspect, json, sys
+import numpy as np
+import fovconn_env
+from fovconn_env import LEVELS, PRESETS, Simulator, scenario
+try:
+    from fovconn_env.baselines import POLICIES, find_policy, load_policy
+    from fovconn_env.envs.vector import VectorEnv
+    from fovconn_env.flights.recording import state_hash as _state_hash
+except ImportError:
+    from baselines import POLICIES, find_policy, load_policy
+    from fovconn_env.recording import state_hash as _state_hash
+    from fovconn_env.vector import VectorEnv
+_OLD = {"format": 1} if "format" in inspect.signature(_state_hash).parameters else {}
+
+def state_hash(simulator):
+    '''As 0.1.0 hashed a state.'''
+    return _state_hash(simulator, **_OLD)
+
+arguments = json.load(sys.stdin)
+"""
+
+FLY = """
+def fly(name, level, policy, seed, every):
+    chosen = scenario(name, level=level)
+    kind = find_policy(policy)
+    simulator = Simulator(kind.equip(chosen), starts=chosen)
+    pilot = kind(simulator.scenario)
+    observations, hashes, step = simulator.reset(seed), [], 0
+    got = hashlib.sha256()
+    while True:
+        for array in (observations, simulator.rewards, simulator.infos):
+            got.update(np.ascontiguousarray(array).view(np.uint8).data)
+        if step % every == 0 or simulator.over[0]:
+            hashes.append([step, state_hash(simulator), got.hexdigest()])
+        if simulator.over[0]:
+            return hashes
+        observations = simulator.step(pilot.act(observations))
+        step += 1
+
+for cell in arguments["cells"]:
+    print(json.dumps([cell, fly(*cell, arguments["seed"], arguments["every"])]), flush=True)
+"""
+
+
+class Cell(NamedTuple):
+    """What is flown: a level of a scenario, by a policy."""
+
+    scenario: str
+    level: int
+    policy: str
+
+
+class Difference(NamedTuple):
+    """A flight that does not come out the same: `since` is the last step at which it did, -1 for none."""
+
+    cell: Cell
+    since: int
+
+
+def run_in(tree: Path, program: str, arguments: Any) -> Iterator[str]:
+    """Lines that a program prints in a tree; `arguments` is what it finds under that name.
+
+    Raises `RuntimeError` with the end of what it said where it fails.
+    """
+    if not (tree / "fovconn_env").is_dir():
+        raise ValueError(f"--baseline must be a checkout of this project, got {str(tree)!r}: it has no fovconn_env")
+    variables = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    variables["PYTHONPATH"] = str(tree.resolve())
+    command = [sys.executable, "-c", textwrap.dedent(PRELUDE) + textwrap.dedent(program)]
+    with tempfile.TemporaryDirectory() as away, tempfile.TemporaryFile("w+", encoding="utf-8") as errors:
+        task = subprocess.Popen(
+            command, cwd=away, env=variables, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True
+        )
+        assert task.stdin is not None
+        assert task.stdout is not None
+        with task, task.stdin as stdin:
+            stdin.write(json.dumps(arguments))
+            stdin.close()
+            yield from task.stdout
+        if task.returncode:
+            errors.seek(0)
+            raise RuntimeError(f"a program failed in {tree}:\n{errors.read()[-2000:]}")
+
+
+def cells(policies: Sequence[str]) -> list[Cell]:
+    """Every level of every scenario with each of the policies."""
+    from fovconn_env import LEVELS, PRESETS
+
+    levels = [(name, level) for name in PRESETS for level in range(1, len(LEVELS.get(name, ())) + 2)]
+    return [Cell(name, level, policy) for name, level in levels for policy in policies]
+
+
+def compare(baseline: Path, chosen: Sequence[Cell], seed: int = 0) -> Iterator[Difference | Cell]:
+    """Fly each cell in this tree and in the other; yields the cell if all hashes are equal, else the difference."""
+    arguments = {"cells": chosen, "seed": seed, "every": EVERY}
+    with ThreadPoolExecutor(2) as pool:
+        here, there = pool.map(lambda tree: list(run_in(tree, FLY, arguments)), (HERE, baseline))
+    for ours, theirs in zip(map(json.loads, here), map(json.loads, there), strict=True):
+        cell = Cell(*ours[0])
+        same = [a[0] for a, b in zip(ours[1], theirs[1], strict=False) if a == b]
+        yield cell if ours == theirs else Difference(cell, same[-1] if same else -1)
+
+
+def main() -> None:
+    """Compare, print what differs, and exit with 1 where anything does."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--baseline", type=Path, required=True, metavar="PATH", help="Another tree of this project.")
+    parser.add_argument("--policy", action="append", help=f"Instead of {', '.join(LAWS)}, dagger and ppo; repeatable.")
+    parser.add_argument("--scenario", help="This one alone.")
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    policies = given.policy or [*LAWS, "dagger", "ppo"]
+    chosen = [cell for cell in cells(policies) if given.scenario in (None, cell.scenario)]
+    differences = [found for found in compare(given.baseline, chosen, given.seed) if isinstance(found, Difference)]
+    for cell, since in differences:
+        print(f"differs: {cell.scenario} level {cell.level}, {cell.policy}: equal until step {since}")
+    print(f"{len(chosen) - len(differences)} of {len(chosen)} flights are equal, bit for bit")
+    sys.exit(bool(differences))
+
+
+if __name__ == "__main__":
+    main()

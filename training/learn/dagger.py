@@ -1,0 +1,161 @@
+"""DAgger (Ross, Gordon and Bagnell, AISTATS 2011): imitate a law on the states that the learner itself gets into.
+
+fly -> label -> aggregate -> regress. In each iteration the worlds fly on, by the law in a share beta of the episodes
+and by the network in the others; every few steps the rows go into a buffer with what the law would do there; then the
+network learns from the buffer. It is SB3's `ActorCriticPolicy` of a PPO model, so that PPO continues from it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from fovconn_env import Scenario
+from fovconn_env.baselines.learned.cards import BASES
+from fovconn_env.baselines.learned.inputs import ACTION
+from fovconn_env.errors import check_numbers, rule
+from fovconn_env.training.learn.learning import (
+    Algorithm,
+    Network,
+    actor_parameters,
+    make_model,
+    mean_action,
+    part,
+)
+from fovconn_env.training.learn.rows import Rows
+
+
+@dataclass(frozen=True, kw_only=True)
+class DaggerSettings:
+    """Hyper-parameters; why these: docs/training.md."""
+
+    expert: str = "expert"  # the law to imitate: expert, augmented or cohesive
+    n_worlds: int = 64
+    n_steps: int = 200  # flown in an iteration
+    every: int = 4  # of these steps, every such one is labelled: neighbouring ones are nearly the same
+    capacity: int = 500_000  # rows of the buffer; when it is full, new ones take the places of random old ones
+    n_updates: int = 150  # in an iteration
+    batch: int = 1024
+    learning_rate: float = 1e-3  # at the start; falls to 1 % along a cosine
+    knee: float = 0.02  # error from which the loss grows linearly: small errors matter where V' is steep
+    mixed: float = 0.15  # share of the training over which beta falls from 1 to 0
+
+    def __post_init__(self) -> None:
+        numbers = "n_worlds n_steps every capacity n_updates batch learning_rate knee"
+        check_numbers(self, above=numbers, share="mixed")
+        rule(self.expert in BASES, "DaggerSettings.expert", f"one of {', '.join(BASES)}", self.expert, "no memory")
+
+
+class Dagger(Algorithm):
+    """See the module."""
+
+    name = "dagger"
+
+    def __init__(
+        self,
+        scenarios: Sequence[Scenario],
+        seed: int = 0,
+        settings: DaggerSettings | None = None,
+        network: Network | None = None,
+        n_threads: int | None = None,
+    ) -> None:
+        s, network = settings or DaggerSettings(), (network or Network()).deviating(-2.0)
+        self.rows = Rows(scenarios, s.n_worlds, n_threads=n_threads)
+        self.rows.seed(seed)
+        super().__init__(make_model(self.rows, network, seed), scenarios, seed, s, network)
+        self.s = s
+        self.laws = [BASES[s.expert](scenario) for scenario in scenarios]
+        self.seen = np.zeros((s.capacity, self.rows.observations.shape[1]), np.float32)
+        self.wanted = np.zeros((s.capacity, ACTION), np.float32)
+        self.filled = 0
+        self.by_law = np.ones(self.rows.num_envs, bool)  # rows whose episode the law flies
+        self.rows.seed(seed)
+        self.rows.reset()
+
+    def iterate(self, share: float) -> dict[str, float]:
+        """Fly, label, learn."""
+        rng = self.generator()
+        self.fly(rng, beta=max(1.0 - share / max(self.s.mixed, 1e-9), 0.0))
+        rate = self.s.learning_rate * (0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * share)))
+        return {"loss": self.learn(rng, rate), "learning_rate": rate, "buffer": self.filled, **self.rows.outcomes()}
+
+    def fly(self, rng: np.random.Generator, beta: float) -> None:
+        """n_steps in all worlds; a new episode is the law's with probability beta."""
+        for k in range(self.s.n_steps):
+            keep = k % self.s.every == 0
+            observations = self.rows.observations.copy()
+            with torch.no_grad():
+                actions = mean_action(self.policy, torch.from_numpy(observations)).numpy()
+            if keep or self.by_law.any():
+                labels = self.labels()
+                actions[self.by_law] = labels[self.by_law]
+                if keep:
+                    self.store(rng, observations, labels)
+            _, _, ended, _ = self.rows.step(actions)
+            self.steps += len(actions)
+            self.redraw(rng, ended, beta)
+
+    def labels(self) -> np.ndarray:
+        """What the law would do on every row, in the network's units."""
+        parts = [law.decide(self.rows.flat(k)) / self.rows.gains[k] for k, law in enumerate(self.laws)]
+        return np.concatenate(parts)
+
+    def redraw(self, rng: np.random.Generator, ended: np.ndarray, beta: float) -> None:
+        """Draw who flies the worlds that began anew; all robots of a world have the same pilot."""
+        for rows, env in zip(self.rows.slices, self.rows.parts, strict=True):
+            n = env.scenario.n_agents
+            new = ended[rows].reshape(-1, n)[:, 0]
+            if new.any():
+                drawn = rng.random(int(new.sum())) < beta
+                self.by_law[rows].reshape(-1, n)[new] = drawn[:, None]
+
+    def store(self, rng: np.random.Generator, observations: np.ndarray, labels: np.ndarray) -> None:
+        """Into the buffer, at its end or in random places."""
+        count, free = len(labels), self.s.capacity - self.filled
+        if count <= free:
+            places = np.arange(self.filled, self.filled + count)
+            self.filled += count
+        else:
+            places = rng.choice(self.filled, min(count, self.filled), replace=False)
+        self.seen[places], self.wanted[places] = observations[: len(places)], labels[: len(places)]
+
+    def learn(self, rng: np.random.Generator, rate: float) -> float:
+        """n_updates of regression; the mean loss."""
+        return regress(self.model.policy, self.seen, self.wanted, self.filled, rng, rate, self.s)
+
+    def pack(self) -> dict[str, np.ndarray]:
+        """With buffer and worlds: about 0.4 GB when the buffer is full."""
+        arrays = {f"rows/{name}": array for name, array in self.rows.pack().items()}
+        arrays |= {"seen": self.seen[: self.filled], "wanted": self.wanted[: self.filled], "by_law": self.by_law}
+        return super().pack() | arrays
+
+    def unpack(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Go on where `pack` was called."""
+        super().unpack(arrays)
+        self.rows.unpack(part(arrays, "rows"))
+        self.filled, self.by_law = len(arrays["seen"]), arrays["by_law"]
+        self.seen[: self.filled], self.wanted[: self.filled] = arrays["seen"], arrays["wanted"]
+
+
+def regress(policy, seen, wanted, count, rng, rate, s) -> float:
+    """n_updates with batches from the first `count` rows of seen and wanted; the mean loss.
+
+    The loss is smooth L1: quadratic below `knee`, linear above, so that saturated actions do not drown the rest.
+    """
+    for group in policy.optimizer.param_groups:
+        group["lr"] = rate
+    total = 0.0
+    for _ in range(s.n_updates):
+        chosen = rng.integers(0, count, s.batch)
+        output = mean_action(policy, torch.from_numpy(seen[chosen]))
+        loss = torch.nn.functional.smooth_l1_loss(output, torch.from_numpy(wanted[chosen]), beta=s.knee)
+        policy.optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(actor_parameters(policy), 1.0)
+        policy.optimizer.step()
+        total += loss.item()
+    return total / s.n_updates

@@ -1,0 +1,191 @@
+"""Flights as a file that others can read: episodes of single robots, laid out as Minari does, in one .npz.
+
+    observations      (S + E, D) float32   episode e has T_e + 1 of them, from the reset to the last
+    actions           (S, 4) float32       shares in [-1, 1], one fewer than observations in each episode
+    rewards           (S,) float32
+    terminations, truncations (S,) bool    true at the last step of an episode alone
+    length            (E,) int64           T_e; S is their sum, episodes follow each other
+    seed, agent       (E,) int64           world and robot; all robots of a world end together
+    success, never_disconnected (E,) bool
+    told              JSON text            format, policy, scenario with all settings, columns, units of the actions
+
+To read one runs no code of the file: `numpy.load(file, allow_pickle=False)`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import fovconn_env
+from fovconn_env import Recording, Scenario, Simulator
+from fovconn_env.baselines import Policy, find_policy
+from fovconn_env.baselines.learned.inputs import columns, full_scale
+from fovconn_env.errors import rule
+from fovconn_env.flights.recording import play_back
+from fovconn_env.training.evaluation.flights import label
+from fovconn_env.training.evaluation.results import plain
+from fovconn_env.training.learn import archives
+
+FORMAT = "fovconn-episodes-1"
+STEPS = ("actions", "rewards", "terminations", "truncations")  # one row a step
+EPISODES = ("length", "seed", "agent", "success", "never_disconnected")
+KINDS = {"observations": "f4", "actions": "f4", "rewards": "f4", "terminations": "?", "truncations": "?"}
+KINDS |= {"length": "i8", "seed": "i8", "agent": "i8", "success": "?", "never_disconnected": "?"}
+
+
+class Episodes(NamedTuple):
+    """What a file holds; see the module."""
+
+    arrays: dict[str, np.ndarray]
+    told: dict[str, Any]
+
+    def each(self) -> Iterator[dict[str, Any]]:
+        """The episodes, each a dict of its own rows."""
+        first = 0
+        for e, length in enumerate(self.arrays["length"].tolist()):
+            steps = {name: self.arrays[name][first : first + length] for name in STEPS}
+            own = {name: self.arrays[name][e] for name in EPISODES}
+            yield {"observations": self.arrays["observations"][first + e : first + e + length + 1], **steps, **own}
+            first += length
+
+    def pairs(self) -> tuple[np.ndarray, np.ndarray]:
+        """Observations (S, D) and the actions taken there (S, 4)."""
+        keep = np.ones(len(self.arrays["observations"]), bool)
+        keep[np.cumsum(self.arrays["length"] + 1) - 1] = False
+        return self.arrays["observations"][keep], self.arrays["actions"]
+
+
+def record(
+    policy: str | type[Policy],
+    scenario: Scenario,
+    seeds: Sequence[int],
+    *,
+    progress: Callable[[float], None] = lambda done: None,
+) -> Episodes:
+    """Fly a policy once from every seed and keep all that every robot saw, did and got."""
+    kind = find_policy(policy) if isinstance(policy, str) else policy
+    simulator = Simulator(kind.equip(scenario), len(seeds), starts=scenario)
+    pilot = kind(simulator.scenario)
+    flights: dict[str, list[np.ndarray]] = {name: [] for name in ("observations", "actions", "rewards", "going")}
+    observations, split = simulator.reset(list(seeds)), np.zeros(len(seeds), bool)
+    while not simulator.over.all():
+        going = ~simulator.over
+        actions = np.where(going[:, None, None], pilot.act(observations), 0.0).astype(np.float32)
+        flights["observations"].append(observations.copy())
+        observations = simulator.step(actions)
+        split |= going & (simulator.infos["connected"][:, 0] == 0.0)
+        for name, array in (("actions", actions), ("rewards", simulator.rewards), ("going", going)):
+            flights[name].append(array.copy())
+        progress(float(simulator.over.mean()))
+    flights["observations"].append(observations.copy())
+    stacked = {name: np.stack(parts) for name, parts in flights.items()}
+    return Episodes(_episodes(simulator, stacked, seeds, split), _told(label(policy), simulator.scenario))
+
+
+def from_recordings(
+    recordings: Sequence[Recording], *, progress: Callable[[float], None] = lambda done: None
+) -> Episodes:
+    """The same of recorded flights, for example of those that a person flew (`fovconn play`): they are computed again.
+
+    A flight that was broken off counts as cut off by time. Raises `ValueError` for flights of several scenarios, and
+    as `fovconn_env.flights.recording.play_back`.
+    """
+    scenarios = [plain(recording.scenario) for recording in recordings]
+    for scenario in scenarios:
+        differing = sorted(name for name in scenario if scenario[name] != scenarios[0].get(name))
+        hint = "a data set is of one scenario; write one of each"
+        rule(not differing, "flights", "of the same settings", f"others in {', '.join(differing)}", hint)
+    parts = []
+    for done, recording in enumerate(recordings, start=1):
+        observations, rewards, split = [], [], np.zeros(1, bool)
+        for simulator in play_back(recording):
+            observations.append(simulator.observations.copy())
+            rewards.append(simulator.rewards.copy())
+            split |= simulator.infos["connected"][:, 0] == 0.0
+        flown = {"observations": np.stack(observations), "rewards": np.stack(rewards[1:])}
+        flown |= {"actions": np.clip(recording.actions[:, None], -1.0, 1.0)}
+        flown |= {"going": np.ones((len(recording.actions), 1), bool)}
+        parts.append(_episodes(simulator, flown, [recording.seed], split))
+        progress(done / len(recordings))
+    arrays = {name: np.concatenate([part[name] for part in parts]) for name in KINDS}
+    pilots = dict.fromkeys(pilot for recording in recordings for pilot in recording.policies)
+    return Episodes(arrays, _told(", ".join(pilots), recordings[0].scenario))
+
+
+def _told(policy: str, scenario: Scenario) -> dict[str, Any]:
+    told = {"format": FORMAT, "fovconn_env": fovconn_env.__version__, "policy": policy}
+    told |= {"scenario": plain(scenario), "columns": columns()}
+    told |= {"max_neighbors": scenario.max_neighbors, "max_ranges": scenario.max_ranges}
+    return told | {"action_units": full_scale(scenario).tolist()}
+
+
+def _episodes(
+    simulator: Simulator, flown: dict[str, np.ndarray], seeds: Sequence[int], split: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Flights (T, B, ...) as episodes of single robots, world by world."""
+    n, episode = simulator.scenario.n_agents, simulator.state.episode
+    lengths = flown["going"].sum(axis=0)
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in KINDS}
+    for b, length in enumerate(lengths.tolist()):
+        ends = np.arange(length) == length - 1
+        terminated = bool(episode["terminated"][b])
+        for i in range(n):
+            parts["observations"].append(flown["observations"][: length + 1, b, i])
+            parts["actions"].append(flown["actions"][:length, b, i])
+            parts["rewards"].append(flown["rewards"][:length, b, i])
+            parts["terminations"].append(ends & terminated)
+            parts["truncations"].append(ends & (not terminated))
+            own = (length, seeds[b], i, bool(episode["success"][b]), not split[b])
+            for name, value in zip(EPISODES, own, strict=True):
+                parts[name].append(np.array([value]))
+    return {name: np.concatenate(rows).astype(KINDS[name]) for name, rows in parts.items()}
+
+
+def save(episodes: Episodes, file: str | Path) -> Path:
+    """Write episodes, in one go."""
+    file = Path(file)
+    archives.save(file, episodes.arrays, episodes.told, compressed=True)
+    return file
+
+
+def load(file: str | Path) -> Episodes:
+    """Read and check a file; `ValueError` names what is wrong with it and where."""
+    file = Path(file)
+    arrays, told = archives.load(file, "data set", "fovconn train record writes one")
+    rule(told.get("format") == FORMAT, f"format of {file}", FORMAT, told.get("format"), "written by another version")
+    for table, names in columns().items():
+        there = told.get("columns", {}).get(table, [])
+        odd = sorted(set(there) ^ set(names)) or "another order"
+        hint = f"recorded with another observation layout, which differs in {odd}; record it anew"
+        rule(there == names, f"columns {table!r} of {file}", f"the {len(names)} of this version", len(there), hint)
+    _check(file, arrays)
+    return Episodes(arrays, told)
+
+
+def _check(file: Path, arrays: dict[str, np.ndarray]) -> None:
+    rule(
+        set(arrays) == set(KINDS),
+        f"arrays of {file}",
+        ", ".join(KINDS),
+        sorted(arrays),
+        "see training/learn/datasets.py",
+    )
+    steps, count = int(arrays["length"].sum()), len(arrays["length"])
+    rule(count > 0, f"episodes of {file}", "at least 1", count, "an empty data set teaches nothing")
+    for name, array in arrays.items():
+        wanted = steps + count if name == "observations" else steps if name in STEPS else count
+        rule(len(array) == wanted, f"{name} of {file}", f"{wanted} rows", len(array), "lengths say so")
+    for name in ("observations", "actions", "rewards"):
+        bad = ~np.isfinite(arrays[name]).reshape(len(arrays[name]), -1)
+        if bad.any():
+            row, column = np.argwhere(bad)[0].tolist()
+            edges = np.cumsum(arrays["length"] + (name == "observations"))
+            e = int(np.searchsorted(edges, row, side="right"))
+            step = row - (int(edges[e - 1]) if e else 0)
+            at = f"uav_{arrays['agent'][e]} of seed {arrays['seed'][e]}, step {step}, column {column}"
+            value = arrays[name].reshape(len(bad), -1)[row, column]
+            raise ValueError(f"{name} of {file} must be finite, got {value} for {at}: leave that episode out")

@@ -1,0 +1,375 @@
+"""What the trainers share: the model, the loop with scores and checkpoints, the files, exact resumption."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import math
+import platform
+import shlex
+import subprocess
+import sys
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numba
+import numpy as np
+import stable_baselines3
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.policies import ActorCriticPolicy
+from torch import nn
+from torch.utils.tensorboard import SummaryWriter
+
+import fovconn_env
+from fovconn_env import Scenario
+from fovconn_env.baselines.laws.safety import safe
+from fovconn_env.baselines.learned.cards import SUFFIX, replace, write
+from fovconn_env.baselines.learned.networks import ENCODERS
+from fovconn_env.baselines.learned.policy import Encoder, Head, from_file
+from fovconn_env.errors import check_count, rule
+from fovconn_env.training.evaluation import evaluate, summary
+from fovconn_env.training.evaluation.campaign import Interrupted, noted_interruption
+from fovconn_env.training.evaluation.results import plain
+from fovconn_env.training.learn import archives
+from fovconn_env.training.learn.rows import Rows
+
+CHOICE_SEEDS = range(10_000, 10_064)  # choose the checkpoint; 0-319 are kept for the evaluation
+SCORES = "never_disconnected success sct progress collision".split()
+CHECKPOINT = "checkpoint.npz"
+
+
+# ------------------------------------------------------------------------------------------------------------ model
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Network:
+    """The network of a policy: how rows become features, and what comes after."""
+
+    kind: Literal["set", "mlp"] = "set"
+    width: int = 64  # of a neighbour's term in the set network
+    spots: int = 32  # of a range point's
+    hidden: tuple[int, int] = (128, 64)  # layers of actor and of critic, on top of the features
+    log_std: float | None = None  # logarithm of an action's first standard deviation; None: the algorithm's own
+
+    def __post_init__(self) -> None:
+        rule(self.kind in ENCODERS, "--network", f"one of {', '.join(ENCODERS)}", self.kind, "set fits any N")
+        fine = isinstance(self.hidden, tuple) and len(self.hidden) == 2
+        rule(fine, "Network.hidden", "two layers", self.hidden, "for example hidden=(128, 64)")
+        for name, size in (("width", self.width), ("spots", self.spots), *(("hidden", n) for n in self.hidden)):
+            check_count(f"Network.{name}", size, "a layer has units")
+
+    def deviating(self, log_std: float) -> Network:
+        """With an algorithm's own first deviation, unless it is set."""
+        return dataclasses.replace(self, log_std=log_std) if self.log_std is None else self
+
+
+def make_model(rows: Rows, network: Network, seed: int, **settings: Any) -> PPO:
+    """SB3's PPO with an `ActorCriticPolicy` of ours, not trained yet; `settings` go to PPO.
+
+    Unless told otherwise it goes on, in SB3's hands, with the sizes of `ppo.PPOSettings`.
+    """
+    ours = {"n_steps": 128, "batch_size": 4096, "n_epochs": 4, "gamma": 0.99, "learning_rate": 5e-4, **settings}
+    collected = ours["n_steps"] * rows.num_envs
+    even = math.gcd(ours["batch_size"], collected)  # SB3 warns of batches that do not come out even
+    ours["batch_size"] = even if even > 1 else collected
+    told: dict[str, Any] = {"max_neighbors": rows.parts[0].scenario.max_neighbors, "extra": rows.extra}
+    if network.kind == "set":
+        told |= {"width": network.width, "spots": network.spots}
+    policy = {
+        "features_extractor_class": ENCODERS[network.kind],
+        "features_extractor_kwargs": told,
+        "share_features_extractor": False,  # the critic's errors do not reach the actor
+        "net_arch": {"pi": list(network.hidden), "vf": list(network.hidden)},
+        "activation_fn": nn.SiLU,
+        "log_std_init": network.log_std,
+    }
+    model = PPO("MlpPolicy", rows, seed=seed, device="cpu", policy_kwargs=policy, **ours)
+    model.set_logger(Logger(None, []))
+    return model
+
+
+def mean_action(policy: ActorCriticPolicy, observations: torch.Tensor) -> torch.Tensor:
+    """What the actor does without noise, (R, 4), in a network's units and before clipping."""
+    features = policy.pi_features_extractor(observations)
+    return policy.action_net(policy.mlp_extractor.forward_actor(features))
+
+
+def actor_parameters(policy: ActorCriticPolicy) -> list[nn.Parameter]:
+    """Parameters of the actor's mean."""
+    parts = (policy.pi_features_extractor, policy.mlp_extractor.policy_net, policy.action_net)
+    return [parameter for part in parts for parameter in part.parameters()]
+
+
+def layers(policy: Any) -> dict[str, Any]:
+    """The actor's linear layers by the names of a policy's file."""
+
+    def linear(net: nn.Module) -> dict[str, Any]:
+        return {name: layer for name, layer in net.named_children() if isinstance(layer, nn.Linear)}
+
+    hidden = linear(policy.mlp_extractor.policy_net).values()
+    ends = dict(zip(("first", "second"), hidden, strict=True)) | {"action": policy.action_net}
+    return linear(policy.pi_features_extractor) | ends
+
+
+def weights(policy: ActorCriticPolicy) -> dict[str, np.ndarray]:
+    """The actor's arrays as a policy's file names them, matrices (in, out)."""
+    found = layers(policy)
+    arrays = {name: layer.weight.detach().numpy().T.copy() for name, layer in found.items()}
+    return arrays | {
+        f"{name}_bias": layer.bias.detach().numpy() for name, layer in found.items() if layer.bias is not None
+    }
+
+
+def load_weights(policy: ActorCriticPolicy, encoder: Encoder, head: Head) -> None:
+    """Put a policy's arrays into the actor; `ValueError` where the sizes differ."""
+    arrays = {**encoder._asdict(), **head._asdict()}
+    for name, mine in weights(policy).items():
+        hint = "start with the same --network and its sizes"
+        rule(arrays[name].shape == mine.shape, f"{name} of the start", f"{mine.shape}", arrays[name].shape, hint)
+    with torch.no_grad():
+        for name, layer in layers(policy).items():
+            layer.weight.copy_(torch.tensor(arrays[name].T))
+            if layer.bias is not None:
+                layer.bias.copy_(torch.tensor(arrays[f"{name}_bias"]))
+
+
+# -------------------------------------------------------------------------------------------------------- algorithms
+class Algorithm(ABC):
+    """A trainer: `iterate` learns a bit; `pack` and `unpack` make a resumed run equal to one without a break.
+
+    What an iteration draws comes from (seed, iteration) alone, see `generator`, so no generator has to be kept.
+    """
+
+    name: ClassVar[str]
+    base: str | None = None  # law that the network corrects
+    bound: float = 0.0
+    filtered: bool = False  # by the safety filter, in training and when it is scored
+
+    def __init__(self, model: PPO, scenarios: Sequence[Scenario], seed: int, settings: Any, network: Network) -> None:
+        self.model, self.scenarios, self.seed, self.settings, self.network = model, scenarios, seed, settings, network
+        self.steps, self.iteration, self.seconds = 0, 0, 0.0  # agent steps flown, or samples learned from
+
+    @property
+    def policy(self) -> ActorCriticPolicy:
+        """The network that is trained."""
+        return self.model.policy
+
+    def generator(self) -> np.random.Generator:
+        """The iteration's own generator; seeds torch and numpy as well."""
+        rng = np.random.default_rng([self.seed, self.iteration])
+        torch.manual_seed(int(rng.integers(2**62)))
+        np.random.seed(int(rng.integers(2**32)))  # noqa: NPY002 - SB3's buffer draws from it
+        return rng
+
+    @abstractmethod
+    def iterate(self, share: float) -> dict[str, float]:
+        """Learn for one iteration, `share` of the training being done; curves to log."""
+
+    def recipe(self) -> dict[str, Any]:
+        """What defines the training, beside its length."""
+        told = {"algorithm": self.name, "seed": self.seed, "base": self.base}
+        told |= {"scenarios": [plain(s) for s in self.scenarios]}
+        told |= {"network": dataclasses.asdict(self.network), "settings": dataclasses.asdict(self.settings)}
+        return json.loads(json.dumps(told))
+
+    def pack(self) -> dict[str, np.ndarray]:
+        """Everything that `iterate` reads and changes, as arrays."""
+        arrays = {f"policy/{name}": tensor.numpy() for name, tensor in self.policy.state_dict().items()}
+        for k, state in self.policy.optimizer.state_dict()["state"].items():
+            arrays |= {f"optimizer/{k}/{name}": tensor.numpy() for name, tensor in state.items()}
+        return arrays | {"counters": np.array([self.steps, self.iteration, self.seconds])}
+
+    def unpack(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Go on where `pack` was called."""
+        self.policy.load_state_dict({k: torch.tensor(v) for k, v in part(arrays, "policy").items()})
+        state: dict[int, dict[str, torch.Tensor]] = {}
+        for name, array in part(arrays, "optimizer").items():
+            k, _, key = name.partition("/")
+            state.setdefault(int(k), {})[key] = torch.tensor(array)
+        optimizer = self.policy.optimizer
+        optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
+        steps, iteration, self.seconds = arrays["counters"].tolist()
+        self.steps, self.iteration = int(steps), int(iteration)
+
+
+def part(arrays: Mapping[str, np.ndarray], name: str) -> dict[str, np.ndarray]:
+    """The arrays below "name/", by the rest of their names."""
+    return {key.removeprefix(f"{name}/"): array for key, array in arrays.items() if key.startswith(f"{name}/")}
+
+
+# ------------------------------------------------------------------------------------------------------------- files
+class Curves:
+    """Numbers over agent steps, for TensorBoard and as lines "step,name,value" in curves.csv."""
+
+    def __init__(self, folder: Path, step: int) -> None:
+        """Steps from `step` on that are there, of a run that was broken off, are dropped."""
+        self._file = folder / "curves.csv"
+        lines = self._file.read_text().splitlines()[1:] if self._file.is_file() and step else []
+        kept = [line for line in lines if int(line.split(",")[0]) <= step]
+        self._file.write_text("\n".join(["step,name,value", *kept, ""]))
+        self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=step or None)
+
+    def add(self, step: int, numbers: Mapping[str, float]) -> None:
+        """Append numbers of a step."""
+        with self._file.open("a") as stream:
+            for name, value in numbers.items():
+                stream.write(f"{step},{name},{value:.6g}\n")
+                self._board.add_scalar(name, value, step)
+
+    def close(self) -> None:
+        """Write what is buffered."""
+        self._board.close()
+
+
+# -------------------------------------------------------------------------------------------------------------- loop
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Budget:
+    """How long to train: agent steps, or minutes. Only steps make two runs the same, bit for bit."""
+
+    steps: int | None = None
+    minutes: float | None = None
+
+    def __post_init__(self) -> None:
+        one = (self.steps is None) != (self.minutes is None)
+        got = (self.steps, self.minutes)
+        rule(one, "--steps and --minutes", "given one of the two", got, "--steps 2000000 or --minutes 10")
+        rule((self.steps or self.minutes or 0) > 0, "length of a training", "above 0", got, "it has to learn something")
+
+    def share(self, steps: int, seconds: float) -> float:
+        """Share of the training that is done."""
+        return min(steps / self.steps if self.steps else seconds / (60.0 * (self.minutes or 1.0)), 1.0)
+
+
+def train(
+    algorithm: Algorithm,
+    budget: Budget,
+    folder: Path,
+    *,
+    resume: bool = False,
+    scores: int = 10,
+    seeds: Sequence[int] = CHOICE_SEEDS,
+    progress: Callable[[float, str], None] = lambda share, text: None,
+) -> dict[str, Any]:
+    """Train, score the policy `scores` times on `seeds` and keep the best one; what it scored.
+
+    The folder gets NAME.safetensors with its card, model.zip (SB3, to go on with), curves and a checkpoint. Ctrl-C ends
+    it with a checkpoint and `Interrupted`. Raises `ValueError` for a resume with other settings or a training that
+    diverges, `OSError` where a file cannot be written; what was there before stays.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    place, best = folder / CHECKPOINT, {"worth": -np.inf}
+    if resume:
+        hint = "--resume goes on in a folder in which a training was"
+        arrays, told = archives.load(place, "checkpoint", hint)
+        check_recipe(told["recipe"], algorithm.recipe())
+        algorithm.unpack(arrays)
+        best = told["best"]
+    curves, before = Curves(folder, algorithm.steps), algorithm.seconds
+    began = time.perf_counter()
+
+    def save() -> None:
+        archives.save(place, algorithm.pack(), {"recipe": algorithm.recipe(), "best": best})
+
+    with noted_interruption() as interrupted:
+        share = budget.share(algorithm.steps, algorithm.seconds)
+        while share < 1.0 and not interrupted.is_set():
+            done, found = int(scores * share), algorithm.iterate(share)
+            algorithm.iteration += 1
+            algorithm.seconds = before + time.perf_counter() - began
+            check_finite(algorithm, place)
+            share = budget.share(algorithm.steps, algorithm.seconds)
+            found["speed"] = (algorithm.steps) / max(algorithm.seconds, 1e-9)
+            if int(scores * share) > done:
+                progress(share, "scoring")
+                scored = score(algorithm, folder, seeds)
+                found |= {f"score/{name}": value for name, value in scored.items()}
+                if scored["worth"] > best["worth"]:
+                    best = {**scored, "steps": algorithm.steps}
+                    write_policy(algorithm, folder, best, seeds)
+                save()
+            curves.add(algorithm.steps, found)
+            progress(share, ", ".join(f"{name} {found[name]:.3g}" for name in ("loss", "success") if name in found))
+        curves.close()
+        if interrupted.is_set():
+            save()
+            raise Interrupted(
+                f"interrupted after {algorithm.steps} steps; kept in {folder}, --resume goes on from there"
+            )
+    return best
+
+
+def score(algorithm: Algorithm, folder: Path, seeds: Sequence[int]) -> dict[str, float]:
+    """Means over scenarios and seeds of what the policy is worth, flown by the kernel; worth is what counts."""
+    trial = folder / f"trial{SUFFIX}"
+    write_policy(algorithm, folder, {}, (), file=trial)
+    tasks = list(dict.fromkeys(algorithm.scenarios))
+    flier = safe(from_file(trial)) if algorithm.filtered else from_file(trial)
+    with ThreadPoolExecutor(torch.get_num_threads()) as pool:  # kernels leave the GIL
+        flown = dict(zip(tasks, pool.map(lambda task: evaluate(flier, task, seeds), tasks), strict=True))
+    results = [summary(flown[scenario]) for scenario in algorithm.scenarios]
+    for file in (trial, trial.with_suffix(".json")):
+        file.unlink()
+    finite = {name: [result[name] for result in results if np.isfinite(result[name])] for name in SCORES}
+    means = {name: float(np.mean(values)) for name, values in finite.items() if values}  # no stick, no progress
+    return {"worth": means["never_disconnected"] + means["success"] + means["sct"], **means}
+
+
+def write_policy(
+    algorithm: Algorithm, folder: Path, scores: Mapping[str, Any], seeds: Sequence[int], *, file: Path | None = None
+) -> None:
+    """Write the policy with its card, and unless it goes to another `file` the SB3 model with it."""
+    made = algorithm.recipe() | {"steps": algorithm.steps, "minutes": round(algorithm.seconds / 60.0, 1)}
+    made |= {"command": shlex.join(["fovconn", *sys.argv[1:]]), "commit": commit(), "versions": versions()}
+    if file is None:
+        stream = io.BytesIO()
+        algorithm.model.save(stream)
+        replace({folder / "model.zip": stream.getvalue()})
+    write(
+        file or folder / f"{algorithm.name}{SUFFIX}",
+        weights(algorithm.policy),
+        network=algorithm.network.kind,
+        base=algorithm.base,
+        bound=algorithm.bound,
+        observation_size=algorithm.scenarios[0].observation_size,
+        made=made,
+        scores={**scores, "seeds": f"{seeds[0]}-{seeds[-1]}"} if seeds else {},
+    )
+
+
+def check_recipe(there: Mapping[str, Any], here: Mapping[str, Any]) -> None:
+    """Raise `ValueError` naming the first setting in which a resumed training differs from its checkpoint."""
+    for name in here:
+        for key in here[name] if isinstance(here[name], dict) else [None]:
+            old, new = (r.get(name) if key is None else r.get(name, {}).get(key) for r in (there, here))
+            what = name if key is None else f"{name}.{key}"
+            shown = (
+                (old, new) if name != "scenarios" else ([s["name"] for s in old or ()], [s["name"] for s in here[name]])
+            )
+            hint = "resume with the same command, or train in another --out"
+            if old != new:
+                raise ValueError(f"{what} must be the checkpoint's ({shown[0]!r}), got {shown[1]!r}: {hint}")
+
+
+def check_finite(algorithm: Algorithm, place: Path) -> None:
+    """Raise `ValueError` if the network holds NaN or infinite numbers; the last checkpoint is left as it is."""
+    fine = all(bool(torch.isfinite(p).all()) for p in algorithm.policy.parameters())
+    hint = f"lower the learning rate; the last good checkpoint is {place}"
+    rule(fine, f"weights after {algorithm.steps} steps", "finite", "NaN or infinity", hint)
+
+
+def commit() -> str:
+    """The commit of the source, "" where there is none."""
+    here = Path(__file__).parent
+    found = subprocess.run(["git", "rev-parse", "--short=12", "HEAD"], cwd=here, capture_output=True, text=True)
+    return found.stdout.strip()
+
+
+def versions() -> dict[str, str]:
+    """Versions of what a training depends on."""
+    modules = {"fovconn_env": fovconn_env, "numpy": np, "numba": numba, "torch": torch, "sb3": stable_baselines3}
+    return {"python": platform.python_version(), **{name: str(m.__version__) for name, m in modules.items()}}

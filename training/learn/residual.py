@@ -1,0 +1,60 @@
+"""Residual PPO (Johannink et al., ICRA 2019): a law flies, and PPO learns a bounded correction of its action.
+
+action = law + bound clip(network, -1, 1), the leader's is the law's alone (`baselines.learned.policy`). The network
+sees the law's action as part of its own row, and starts at a correction of zero: the first policy is the law, and no
+later one is farther from it than the bound.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from fovconn_env import Scenario
+from fovconn_env.baselines.learned.cards import BASES
+from fovconn_env.errors import check_numbers, rule
+from fovconn_env.training.learn.learning import Network
+from fovconn_env.training.learn.ppo import PPOSettings, Team
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualSettings(PPOSettings):
+    """PPO's, law and bound."""
+
+    base: str = "cohesive"
+    bound: float = 0.3  # of 2.5 m/s and 1 rad/s
+    learning_rate: float = 1e-3  # at the start; falls to 0 linearly
+    gamma: float = 0.995  # a step is 0.05 s: looks 10 s ahead
+    anchor: float = 0.03  # weight of the divergence from the law, falls to 0 linearly ...
+    anchored: float = 1.0  # ... over this share of the training
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_numbers(self, share="bound")
+        rule(self.base in BASES, "ResidualSettings.base", f"one of {', '.join(BASES)}", self.base, "without memory")
+
+
+class Residual(Team):
+    """See the module."""
+
+    name = "residual"
+
+    def __init__(
+        self,
+        scenarios: Sequence[Scenario],
+        seed: int = 0,
+        settings: ResidualSettings | None = None,
+        network: Network | None = None,
+        **told: Any,
+    ) -> None:
+        s = settings or ResidualSettings()
+        self.base, self.bound = s.base, s.bound
+        super().__init__(scenarios, seed, s, (network or Network()).deviating(-1.0), **told)
+        if self.start is None:
+            for parameter in self.policy.action_net.parameters():
+                torch.nn.init.zeros_(parameter)
+            self.anchor = copy.deepcopy(self.policy)

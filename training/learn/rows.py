@@ -1,0 +1,207 @@
+"""Worlds of one or several scenarios as the rows a network is trained on, in its units."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from stable_baselines3.common.vec_env import VecEnv
+
+from fovconn_env import Scenario, Simulator
+from fovconn_env.baselines.laws.safety import Filter
+from fovconn_env.baselines.learned.cards import BASES
+from fovconn_env.baselines.learned.inputs import ACTION, gain
+from fovconn_env.baselines.learned.policy import corrected
+from fovconn_env.errors import check_count, rule
+from fovconn_env.training.sb3 import EPISODE_KEYS, RobotsVecEnv
+
+FIRST_SEED = 50_000  # of training; seeds below choose checkpoints and evaluate
+SEEDS_APART = 4096  # between the first worlds of two training seeds
+
+
+class Rows(VecEnv):
+    """Robots of B worlds, shared out among scenarios, as the rows of one SB3 `VecEnv`; one policy flies all of them.
+
+    Actions are in units of `inputs.gain`: the same number is the same velocity in every scenario. With a base law, its
+    actions are columns more of an observation, and an action is a correction of at most `bound` (`learned.corrected`).
+    `filtered` puts the safety filter on what is flown; rewards are multiplied by `reward`. An episode that ends leaves
+    its outcome in `ended`.
+    """
+
+    def __init__(
+        self,
+        scenarios: Sequence[Scenario],
+        n_worlds: int,
+        *,
+        base: str | None = None,
+        bound: float = 0.0,
+        filtered: bool = False,
+        reward: float = 1.0,
+        n_threads: int | None = None,
+    ) -> None:
+        check_count("n_worlds", n_worlds, "a batch holds worlds")
+        hint = "each scenario needs a world"
+        rule(n_worlds >= len(scenarios), "n_worlds", f"at least {len(scenarios)}", n_worlds, hint)
+        sizes = {scenario.observation_size: scenario.name for scenario in scenarios}
+        hint = f"one network for {', '.join(sizes.values())} needs one max_neighbors and max_ranges"
+        rule(len(sizes) == 1, "observation_size", "the same in all scenarios", list(sizes), hint)
+        rule(base is None or base in BASES, "base", f"one of {', '.join(BASES)}", base, "a law without a memory")
+        counts = [n_worlds // len(scenarios) + (k < n_worlds % len(scenarios)) for k in range(len(scenarios))]
+        self.parts = [RobotsVecEnv(s, n, n_threads=n_threads) for s, n in zip(scenarios, counts, strict=True)]
+        edges = np.cumsum([0, *(part.num_envs for part in self.parts)]).tolist()
+        self.slices = [slice(*edge) for edge in itertools.pairwise(edges)]
+        self.gains = [gain(scenario) for scenario in scenarios]
+        self.reward, self.bound, self.extra = reward, bound, ACTION if base else 0
+        self._bases = [BASES[base](scenario) for scenario in scenarios] if base else []
+        self._filters = [Filter(scenario) for scenario in scenarios] if filtered else []
+        self.ended: list[dict[str, float]] = []
+        self.render_mode = None
+        self._seed = 0
+        self._actions = np.zeros((edges[-1], ACTION), np.float32)
+        self.observations = np.zeros((edges[-1], sizes.popitem()[0] + self.extra), np.float32)  # the last ones
+        self._return, self._length = np.zeros(edges[-1]), np.zeros(edges[-1], np.int64)
+        low, high = (np.concatenate([getattr(self.parts[0].observation_space, name), np.full(self.extra, edge)])
+                     for name, edge in (("low", -8.0), ("high", 8.0)))  # fmt: skip
+        reach = 1.0 if base else max(float((1.0 / unit).max()) for unit in self.gains)
+        space = spaces.Box(low.astype(np.float32), high.astype(np.float32))
+        super().__init__(edges[-1], space, spaces.Box(-reach, reach, (ACTION,)))
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Training seed of the next reset: no two of them, and no evaluation, share a world."""
+        self._seed = seed or 0
+        return [seed] * self.num_envs
+
+    def reset(self) -> np.ndarray:
+        """Start all worlds and return the observations (R, D + extra)."""
+        first = FIRST_SEED + SEEDS_APART * self._seed
+        for part, here in zip(self.parts, self.slices, strict=True):
+            part.seed(first)
+            first += part.simulator.n_worlds
+            self.observations[here] = self._extended(part.reset(), here)
+        self._return[:], self._length[:] = 0.0, 0
+        self.ended.clear()
+        return self.observations.copy()
+
+    def flat(self, k: int) -> np.ndarray:
+        """The observations of scenario k as the environment gave them, (R_k, D)."""
+        width = self.observations.shape[1] - self.extra
+        return np.ascontiguousarray(self.observations[self.slices[k], :width])
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Keep the actions (R, 4), in a network's units, for `step_wait`."""
+        self._actions = np.asarray(actions, np.float32)
+
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        """Step; observations, rewards, dones and infos of all rows. Raises `ValueError` for NaN."""
+        rewards, dones = np.zeros(self.num_envs, np.float32), np.zeros(self.num_envs, bool)
+        infos: list[dict[str, Any]] = []
+        for k, (part, here) in enumerate(zip(self.parts, self.slices, strict=True)):
+            part.step_async(self._flown(k))
+            flat, rewards[here], dones[here], told = part.step_wait()
+            self.observations[here] = self._extended(flat, here)
+            ended = np.flatnonzero(dones[here])
+            if len(ended):
+                last = self._extended(np.stack([told[row]["terminal_observation"] for row in ended]), here)
+                for row, observation in zip(ended.tolist(), last, strict=True):
+                    told[row]["terminal_observation"] = observation
+            infos += told
+        self._return += rewards
+        self._length += 1
+        for row in np.flatnonzero(dones).tolist():
+            outcome = {key: infos[row][key] for key in EPISODE_KEYS}
+            outcome |= {"return": float(self._return[row]), "length": float(self._length[row])}
+            infos[row]["episode"] = {"r": outcome["return"], "l": outcome["length"], "t": 0.0}
+            self.ended.append(outcome)
+        self._return[dones], self._length[dones] = 0.0, 0
+        return self.observations.copy(), rewards * np.float32(self.reward), dones, infos
+
+    def outcomes(self) -> dict[str, float]:
+        """Means over the episodes that ended since the last call, a row each; empty if none did."""
+        names = ("return", "length", *EPISODE_KEYS)
+        means = {name: float(np.mean([episode[name] for episode in self.ended])) for name in names if self.ended}
+        self.ended.clear()
+        return means
+
+    def pack(self) -> dict[str, np.ndarray]:
+        """All that a later `unpack` needs to go on with the same bits."""
+        arrays = {"observations": self.observations, "return": self._return, "length": self._length}
+        for k, part in enumerate(self.parts):
+            arrays |= {f"{k}/split": part._split, f"{k}/seed": np.array(self._seed)}
+            arrays |= {f"{k}/{name}": array for name, array in pack_simulator(part.simulator).items()}
+        return arrays
+
+    def unpack(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Go on where `pack` was called; `ValueError` if that was with other worlds."""
+        self.observations[:], self._return[:] = arrays["observations"], arrays["return"]
+        self._length[:] = arrays["length"]
+        for k, part in enumerate(self.parts):
+            part._split[:] = arrays[f"{k}/split"]
+            prefix = f"{k}/"
+            mine = {name.removeprefix(prefix): a for name, a in arrays.items() if name.startswith(prefix)}
+            unpack_simulator(part.simulator, mine)
+        self.ended.clear()
+
+    def _extended(self, flat: np.ndarray, here: slice) -> np.ndarray:
+        if not self._bases:
+            return flat
+        k = self.slices.index(here)
+        return np.concatenate([flat, self._bases[k].decide(flat) / self.gains[k]], axis=1)
+
+    def _flown(self, k: int) -> np.ndarray:
+        """Shares that the robots of scenario k fly."""
+        outputs, unit = self._actions[self.slices[k]], self.gains[k]
+        if self._bases:
+            base = self.observations[self.slices[k], -ACTION:] * unit
+            actions = corrected(self.observations[self.slices[k]], base, outputs, unit, self.bound)
+        else:
+            actions = np.clip(outputs * unit, -1.0, 1.0)
+        return self._filters[k](self.flat(k), actions) if self._filters else actions
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """The attribute of this object, once a row."""
+        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Set an attribute for all rows."""
+        setattr(self, attr_name, value)
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        """Call a method of this object once and return its answer for each row."""
+        answer = getattr(self, method_name)(*args, **kwargs)
+        return [answer for _ in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        """Rows are never wrapped one by one."""
+        return [False for _ in self._get_indices(indices)]
+
+
+def pack_simulator(simulator: Simulator) -> dict[str, np.ndarray]:
+    """Worlds, state and generators of a simulator as arrays; views of other arrays are left out."""
+    arrays = {f"state/{name}": a for name, a in simulator.state._asdict().items() if not name.endswith("_row")}
+    arrays |= {f"world/{name}": a for name, a in simulator.world._asdict().items()}
+    states = [json.dumps(rng.bit_generator.state) if rng else "" for rng in simulator._rngs]
+    return arrays | {"generators": np.array(states)}
+
+
+def unpack_simulator(simulator: Simulator, arrays: Mapping[str, np.ndarray]) -> None:
+    """Put a simulator where `pack_simulator` was called; `ValueError` for one of other settings."""
+    there, here = arrays["state/flat"].shape, simulator.state.flat.shape
+    rule(there == here, "worlds of a checkpoint", f"of the shape {here}", there, "made by other settings")
+    for name, array in simulator.state._asdict().items():
+        if not name.endswith("_row"):
+            array[...] = arrays[f"state/{name}"].astype(array.dtype)
+    world = simulator.world
+    kept = {name: arrays[f"world/{name}"].astype(array.dtype) for name, array in world._asdict().items()}
+    simulator.world = world._replace(**kept)
+    for b, text in enumerate(arrays["generators"].tolist()):
+        rng = np.random.default_rng(0)
+        if text:
+            rng.bit_generator.state = json.loads(text)
+        simulator._rngs[b] = rng if text else None
