@@ -15,7 +15,8 @@ from fovconn_env.envs.parallel import ParallelEnv, env, parallel_env, raw_env
 from fovconn_env.flights.flight import Flight
 from fovconn_env.flights.recording import Recorder, Recording
 from fovconn_env.maps.corridor import Corridor
-from fovconn_env.maps.obstacles import Forest, Map
+from fovconn_env.maps.forest import Forest
+from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios.leader import Recorded
 from fovconn_env.scenarios.presets import LEVELS, PRESETS, Scenario, scenario
 from fovconn_env.scenarios.settings import (

@@ -14,8 +14,8 @@ from fovconn_env.kernel.jit import entry
 from fovconn_env.kernel.maths import spectrum
 from fovconn_env.scenarios.presets import Scenario, scenario
 from fovconn_env.scenarios.settings import Course
+from fovconn_env.sim.memory import place
 from fovconn_env.sim.simulator import Simulator
-from fovconn_env.sim.starts import place
 from tests import reference as ref
 
 JIT = not config.DISABLE_JIT

@@ -1,14 +1,9 @@
-"""Obstacles: authored on a `pymunk.Space`, or drawn at random, then flattened for the kernels.
-
-The only importer of pymunk. World frame, metres.
-"""
+"""Obstacles on a `pymunk.Space`, and the arrays of them that the kernels read. World frame, metres."""
 
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -18,10 +13,9 @@ import pymunk
 
 from fovconn_env.kernel.records import PIECE
 from fovconn_env.maps.files import read_entries, write_entries
-from fovconn_env.maps.outlines import FAR, checked_array, checked_outline, convex_pieces
+from fovconn_env.maps.outlines import checked_array, checked_length, checked_outline, convex_pieces
 
 LOW, HIGH = -100.0, 100.0  # m, height interval of an obstacle that is not told one
-_TRIES = 1000  # places a forest tries for one obstacle
 
 
 class Map:
@@ -110,12 +104,12 @@ class Map:
         core = [checked_array(f"Map.wall {name}", point, (2,)).tolist() for name, point in ends.items()]
         if core[0] == core[1]:
             raise ValueError(f"Map.wall end must differ from start, got {end} for both: a pillar is a Map.circle")
-        thickness = _number("Map.wall thickness", thickness, above=0.0)
+        thickness = checked_length("Map.wall thickness", thickness, above=0.0)
         return self._add("Map.wall", [core], thickness / 2, low, high)
 
     def polygon(self, outline: npt.ArrayLike, radius: float = 0.0, *, low: float = LOW, high: float = HIGH) -> Self:
         """Add a polygon: outline (n, 2) m, its corners in order, convex or not; radius, m, rounds it outwards."""
-        _number("Map.polygon radius", radius, least=0.0)
+        checked_length("Map.polygon radius", radius, least=0.0)
         corners = checked_array("Map.polygon outline", outline, (-1, 2))
         pieces = convex_pieces(checked_outline("Map.polygon outline", corners))
         known = len(self.space.shapes)
@@ -163,12 +157,12 @@ class Map:
     def _add(self, name: str, cores: list[list], radius: float, low: float, high: float) -> Self:
         """Add one obstacle of rounded convex cores; everything is checked before anything is added."""
         if len(cores[0]) < 3:
-            _number(f"{name} radius", radius, above=0.0)
-        low = _number(f"{name} low", low)
-        high = _number(f"{name} high", high, above=low)
+            checked_length(f"{name} radius", radius, above=0.0)
+        low = checked_length(f"{name} low", low)
+        high = checked_length(f"{name} high", high, above=low)
         source = 1 + max((shape.source for shape in self.space.shapes), default=-1)
         for core in cores:
-            shape = _rounded(core, float(radius))
+            shape = rounded_shape(core, float(radius))
             shape.body, shape.height, shape.source = self.space.static_body, (low, high), source
             self.space.add(shape)
         return self
@@ -185,79 +179,6 @@ class Map:
             self.wall(core[0], core[1], 2 * shape.radius, low=low, high=high)
         else:
             self.polygon(core, shape.radius, low=low, high=high)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Forest:
-    """A random map: upright pillars and walls with gaps between them. Errors are ValueErrors that name the field."""
-
-    n_pillars: int = 12
-    pillar_radius: tuple[float, float] = (0.2, 0.5)  # m, least and greatest
-    n_walls: int = 3
-    wall_length: tuple[float, float] = (2.0, 5.0)  # m, least and greatest
-    wall_thickness: float = 0.3  # m
-    low: float = LOW  # m, height interval of all
-    high: float = HIGH  # m
-    gap: float = 2.0  # m, least free space between two obstacles
-
-    def __post_init__(self) -> None:
-        for name in ("n_pillars", "n_walls"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
-                raise ValueError(f"Forest.{name} must be a whole number of at least 0, got {value!r}: obstacles")
-        for name in ("pillar_radius", "wall_length"):
-            least, greatest = checked_array(f"Forest.{name}", getattr(self, name), (2,))
-            _number(f"Forest.{name}[0]", least, above=0.0)
-            _number(f"Forest.{name}[1]", greatest, least=least)
-        _number("Forest.wall_thickness", self.wall_thickness, above=0.0)
-        _number("Forest.gap", self.gap, least=0.0)
-        _number("Forest.low", self.low)
-        _number("Forest.high", self.high, above=self.low)
-
-    def generate(
-        self,
-        rng: np.random.Generator,
-        area: tuple[float, float, float, float],
-        keep_clear: npt.ArrayLike,
-        keep_radius: float,
-    ) -> Map:
-        """Draw a map whose obstacles have their centres in the area, walls first.
-
-        area, m: x_min, x_max, y_min, y_max. keep_clear (m, 3), m: points from which every obstacle keeps keep_radius,
-        m, in plan. Raises ValueError when an obstacle finds no room.
-        """
-        x_min, x_max, y_min, y_max = checked_array("Forest.generate area", area, (4,))
-        if x_min > x_max or y_min > y_max:
-            raise ValueError(f"Forest.generate area must be x_min, x_max, y_min, y_max with min <= max, got {area}: m")
-        clear = checked_array("Forest.generate keep_clear", keep_clear, (-1, 3))[:, :2].tolist()
-        _number("Forest.generate keep_radius", keep_radius, least=0.0)
-        result = Map()
-        for kind in ["wall"] * self.n_walls + ["pillar"] * self.n_pillars:
-            for _ in range(_TRIES):
-                center = np.array([rng.uniform(x_min, x_max), rng.uniform(y_min, y_max)])
-                core, radius = self._wall(rng, center) if kind == "wall" else self._pillar(rng, center)
-                around = _rounded(core, radius + self.gap)
-                around.update(pymunk.Transform.identity())  # a shape outside a space is placed by this call only
-                if result.space.shape_query(around):
-                    continue
-                if all(around.point_query(point).distance + self.gap >= keep_radius for point in clear):
-                    result._add(f"Forest {kind}", [core], radius, self.low, self.high)
-                    break
-            else:
-                raise ValueError(
-                    f"Forest found no room for a {kind} after {_TRIES} tries, with {len(result.space.shapes)} of "
-                    f"{self.n_walls + self.n_pillars} obstacles placed: fewer or smaller ones, a smaller gap or "
-                    "keep_radius, or a larger area"
-                )
-        return result
-
-    def _pillar(self, rng: np.random.Generator, center: np.ndarray) -> tuple[list, float]:
-        return [center.tolist()], rng.uniform(*self.pillar_radius)
-
-    def _wall(self, rng: np.random.Generator, center: np.ndarray) -> tuple[list, float]:
-        heading, length = rng.uniform(0.0, math.pi), rng.uniform(*self.wall_length)
-        half = np.array([math.cos(heading), math.sin(heading)]) * length / 2
-        return [(center - half).tolist(), (center + half).tolist()], self.wall_thickness / 2
 
 
 def _written(shape: pymunk.Shape) -> tuple[str, dict[str, Any]] | None:
@@ -283,25 +204,10 @@ def _core(shape: pymunk.Shape) -> list[pymunk.Vec2d]:
     return shape.get_vertices()
 
 
-def _rounded(core: list, radius: float) -> pymunk.Shape:
+def rounded_shape(core: list, radius: float) -> pymunk.Shape:
     """Shape without a body: a convex core of 1, 2 or more corners, rounded by radius, m."""
     if len(core) == 1:
         return pymunk.Circle(None, radius, core[0])
     if len(core) == 2:
         return pymunk.Segment(None, core[0], core[1], radius)
     return pymunk.Poly(None, core, radius=radius)
-
-
-def _number(field: str, value: float, *, above: float = -math.inf, least: float = -math.inf) -> float:
-    """The value as a float, checked: metres, > above and >= least."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not abs(number) <= FAR:
-        raise ValueError(f"{field} must be a finite number of at most {FAR:g}, got {value}: metres")
-    if number <= above:
-        raise ValueError(f"{field} must be {'positive' if above == 0.0 else f'above {above:g}'}, got {value}: metres")
-    if number < least:
-        raise ValueError(f"{field} must be at least {least:g}, got {value}: metres")
-    return number

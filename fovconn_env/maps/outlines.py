@@ -6,6 +6,7 @@ whole process with a segmentation fault (tests/maps/test_maps.py has one).
 
 from __future__ import annotations
 
+import math
 import reprlib
 from typing import Any, NamedTuple
 
@@ -38,6 +39,21 @@ def checked_array(field: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> n
         sizes = ", ".join("n" if size == -1 else str(size) for size in shape)
         raise ValueError(f"{field} must be ({sizes}) finite numbers of at most {FAR:g}, got {value!r}: metres")
     return array
+
+
+def checked_length(field: str, value: float, *, above: float = -math.inf, least: float = -math.inf) -> float:
+    """The value as a float, checked: metres, > above and >= least."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not abs(number) <= FAR:
+        raise ValueError(f"{field} must be a finite number of at most {FAR:g}, got {value}: metres")
+    if number <= above:
+        raise ValueError(f"{field} must be {'positive' if above == 0.0 else f'above {above:g}'}, got {value}: metres")
+    if number < least:
+        raise ValueError(f"{field} must be at least {least:g}, got {value}: metres")
+    return number
 
 
 def checked_outline(field: str, outline: npt.ArrayLike) -> np.ndarray:

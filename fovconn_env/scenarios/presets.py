@@ -16,7 +16,8 @@ from fovconn_env import layout
 from fovconn_env.errors import check_numbers, rule
 from fovconn_env.kernel.records import PARAMS
 from fovconn_env.maps.corridor import Corridor
-from fovconn_env.maps.obstacles import Forest, Map
+from fovconn_env.maps.forest import Forest
+from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios.leader import Recorded
 from fovconn_env.scenarios.settings import (
     Airframe,

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from fovconn_env.maps.corridor import Corridor
-from fovconn_env.maps.obstacles import Forest, Map
+from fovconn_env.maps.forest import Forest
+from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios import settings
 from fovconn_env.scenarios.leader import Recorded
 from fovconn_env.scenarios.presets import Scenario

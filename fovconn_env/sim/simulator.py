@@ -21,17 +21,8 @@ from fovconn_env.kernel.world import operator
 from fovconn_env.scenarios.leader import Recorded
 from fovconn_env.scenarios.presets import SWITCHES, Scenario
 from fovconn_env.sim.graph import Graph, observed_graph
-from fovconn_env.sim.starts import (
-    NO_ACTIONS,
-    NO_MASK,
-    Scout,
-    Start,
-    allocate,
-    clear,
-    draw_faults,
-    place,
-    scratch,
-)
+from fovconn_env.sim.memory import NO_ACTIONS, NO_MASK, allocate, clear, place, scratch
+from fovconn_env.sim.starts import Scout, Start, draw_faults
 
 WORLDS_PER_SLICE = 16  # fewer are not worth the way to another thread
 Leader = Literal["waypoints", "none", "random", "human"]

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from fovconn_env import scenario
 from fovconn_env.maps import files, svg
-from fovconn_env.maps.obstacles import HIGH, LOW, Forest, Map
+from fovconn_env.maps.forest import Forest
+from fovconn_env.maps.obstacles import HIGH, LOW, Map
 from fovconn_env.scenarios.presets import Scenario
 from tests.maps.test_maps import COMB, HIDDEN, SPIRAL, STAIR, U, blocks, example, inside_by_even_odd, star
 

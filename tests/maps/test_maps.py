@@ -9,7 +9,8 @@ import numpy as np
 import pymunk
 import pytest
 
-from fovconn_env.maps.obstacles import HIGH, LOW, Forest, Map
+from fovconn_env.maps.forest import Forest
+from fovconn_env.maps.obstacles import HIGH, LOW, Map
 
 pytestmark = pytest.mark.nojit
 

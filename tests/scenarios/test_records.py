@@ -16,7 +16,8 @@ from fovconn_env.kernel.onboard import power_iteration, relative_yaw
 from fovconn_env.kernel.world import faults, operator, outcome
 from fovconn_env.kernel.world.camera import BY_RANGE, BY_SIGHT
 from fovconn_env.maps.corridor import Corridor
-from fovconn_env.maps.obstacles import Forest, Map
+from fovconn_env.maps.forest import Forest
+from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios import settings
 from fovconn_env.scenarios.leader import Recorded
 from fovconn_env.scenarios.presets import PRESETS, SWITCHES, Scenario, scenario

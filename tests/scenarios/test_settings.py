@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from fovconn_env.baselines import Gains
-from fovconn_env.maps.obstacles import Forest, Map
+from fovconn_env.maps.forest import Forest
+from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios.presets import PRESETS, Scenario, scenario
 from fovconn_env.scenarios.settings import (
     Airframe,

@@ -12,8 +12,9 @@ from fovconn_env.kernel.onboard import flooding, observation, power_iteration, r
 from fovconn_env.kernel.world import radio
 from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios.settings import Airframe, Camera, Clock, Course, Noise, Radio
+from fovconn_env.sim.memory import NO_ACTIONS
 from fovconn_env.sim.simulator import Simulator
-from fovconn_env.sim.starts import NO_ACTIONS, Start
+from fovconn_env.sim.starts import Start
 from tests import reference as ref
 from tests.helpers import contents, differing, draw_team, few, fiedler, recorded_actions, small, snapshot
 

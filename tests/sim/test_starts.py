@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fovconn_env import Corridor, Course, Forest, Map, Start, scenario
-from fovconn_env.maps import obstacles as maps_module
+from fovconn_env.maps import forest as forest_module
 from fovconn_env.sim import starts
 from tests.maps.test_maps import inside_by_even_odd, star
 
@@ -137,7 +137,7 @@ def most_draws(task):
         return starts.MAX_TRIES * (2 + course)
     obstacles = 2
     if isinstance(task.map, Forest):
-        obstacles = 4 * maps_module._TRIES * (task.map.n_pillars + task.map.n_walls)
+        obstacles = 4 * forest_module._TRIES * (task.map.n_pillars + task.map.n_walls)
     return starts.MAX_MAPS * (2 * starts.MAX_TRIES + course + obstacles)
 
 
