@@ -45,6 +45,7 @@ results: $(VENV)/installed-demo  ## fly all that docs/results.md and the README'
 	$(BIN)/python -m fovconn_env.training.evaluation.learned_study
 	cp out/results/ablations/ablations.png docs/images/
 	cp $(addprefix out/results/full/plots/,$(SHOWN)) docs/images/
+	$(BIN)/python docs/shrink.py
 	$(BIN)/python docs/tables.py
 
 lint: $(VENV)/installed-dev  ## ruff (rules and format), the direction of imports, and pyright

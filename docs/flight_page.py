@@ -1,6 +1,7 @@
-"""Fly the demo, write it as a web page, and take its picture for flights.md: `python docs/flight_page.py`.
+"""Fly the demo, write it as a web page, and take its picture for flights.md.
 
-Needs a Chromium (apt-get install chromium) and the `render` extra.
+Run `python docs/flight_page.py`, then `python docs/shrink.py`. Needs a Chromium (apt-get install chromium) and the
+`render` extra.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Draw one start of every scenario, seen from above, into docs/images/scenarios: `python docs/pictures.py`."""
+"""Draw one start of every scenario, seen from above, into docs/images/scenarios.
+
+Run `python docs/pictures.py`, then `python docs/shrink.py`.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,6 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # runs from a clone without 
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
-from PIL import Image
 
 from fovconn_env import PRESETS, Scenario, Simulator, scenario
 from fovconn_env.render.figures import style
@@ -18,7 +20,6 @@ from fovconn_env.render.figures.scene import Scene, draw_ground
 
 FOLDER = Path(__file__).parent / "images" / "scenarios"
 LEVEL = {"ScaleUp-v0": 3, "NarrowCamera-v0": 2, "Corridor-v0": 2}  # where that tells more than the first
-COLORS = 256  # of a picture's palette: a third of the bytes
 WIDTH, MARGIN = 4.5, 2.5  # inches; m about team and course
 
 
@@ -57,8 +58,4 @@ def _quarter(points: np.ndarray) -> np.ndarray:
 if __name__ == "__main__":
     FOLDER.mkdir(exist_ok=True)
     for seed, name in enumerate(PRESETS, start=1):
-        path = style.save(draw(scenario(name, level=LEVEL.get(name, 1)), seed), FOLDER / f"{name}.png")
-        with Image.open(path) as picture:
-            small = picture.convert("RGB").quantize(COLORS)
-        small.save(path, optimize=True)
-        print(path)
+        print(style.save(draw(scenario(name, level=LEVEL.get(name, 1)), seed), FOLDER / f"{name}.png"))

@@ -1,4 +1,7 @@
-"""Play a flight by a list of keys and write the pictures of docs/play.md: `python docs/play_pictures.py`."""
+"""Play a flight by a list of keys and write the pictures of docs/play.md.
+
+Run `python docs/play_pictures.py`, then `python docs/shrink.py`.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,13 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # runs from a clone without an install, too
 
-import numpy as np
 import pygame
 
-from fovconn_env.render.figures.gif import write_gif
 from fovconn_env.training.play.cockpit import Cockpit
 from fovconn_env.training.play.session import Session
 
 FOLDER = Path(__file__).parent / "images"
-STEP, EVERY = 0.05, 3  # s; steps from one picture of the animation to the next
+STEP = 0.05  # s
 # (step, key, down): pull the leader past the pillars, take over robot 6 and bring it near, go on as the leader
 KEYS = (
     (5, "w", True),
@@ -46,13 +47,8 @@ def cockpit_of(size: tuple[int, int], theme: str, **changes: float) -> Cockpit:
     return Cockpit(Session("LeaderObstacles-v0", "expert", 4, changes=changes), size, theme)
 
 
-def image(page: pygame.Surface) -> np.ndarray:
-    """(H, W, 3) uint8."""
-    return pygame.surfarray.array3d(page).swapaxes(0, 1).copy()
-
-
 def main() -> None:
-    """Write four pictures and the animation."""
+    """Write four pictures."""
     for theme, size in (("light", (1280, 720)), ("dark", (640, 480))):
         cockpit = cockpit_of(size, theme)
         *_, page = play(cockpit, 160)
@@ -63,9 +59,6 @@ def main() -> None:
     page = cockpit.draw()
     assert page is not None
     pygame.image.save(page, FOLDER / "play_help.png")
-    pages = play(cockpit_of((480, 360), "light"), 240)
-    frames = [image(page) for k, page in enumerate(pages) if k % EVERY == 0]
-    write_gif(FOLDER / "play.gif", frames, [frames[0], frames[-1]], [round(1000 * STEP * EVERY)] * len(frames))
 
 
 if __name__ == "__main__":

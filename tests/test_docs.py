@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib
+import json
 import re
 import runpy
 import shlex
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from fovconn_env import PRESETS, Scenario, Simulator, layout, scenario
 from fovconn_env.baselines import POLICIES, Gains
@@ -113,6 +115,18 @@ def test_make_targets_and_extras_exist():
         assert extras is None or set(extras[1].split(",")) <= set(project["optional-dependencies"])
     for version in re.findall(r"^Programming Language :: Python :: (3\.\d+)$", "\n".join(project["classifiers"]), re.M):
         assert version in README
+
+
+# ---------------------------------------------------------------------------------------------------------- files
+def test_pictures_have_palettes():
+    for path in (ROOT / "docs" / "images").rglob("*.png"):
+        with Image.open(path) as picture:
+            assert picture.mode == "P", f"{path.name}: run python docs/shrink.py"
+
+
+def test_the_notebook_is_kept_without_outputs():
+    cells = json.loads((ROOT / "docs" / "quickstart.ipynb").read_text("utf-8"))["cells"]
+    assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells)
 
 
 # ---------------------------------------------------------------------------------------------------------- links
