@@ -11,7 +11,8 @@ from __future__ import annotations
 import functools
 import hashlib
 import inspect
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
@@ -25,7 +26,8 @@ R = TypeVar("R")
 # No array is made by a kernel, so references need not be counted; counting them takes a twelfth of a step.
 _OPTIONS: dict[str, Any] = {"fastmath": False, "_nrt": False}
 _PACKAGE = Path(__file__).parents[1]
-_MARK = b"fovconn_env.kernel.jit import"  # stands in every file that holds compiled code
+# Stands in every file that holds compiled code.
+_MARK = re.compile(rb"^from fovconn_env\.kernel\.jit import .*\b(?:entry|kernel)\b", re.MULTILINE)
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
@@ -43,16 +45,20 @@ def entry(function: Callable[P, R]) -> Callable[P, R]:
                 return function(*args, **kwargs)
 
         return plain
+    source = Path(inspect.getfile(function))
     # numba looks only at the file of the function itself: a folder named by the hash of all compiled code that it may
     # call makes an edit elsewhere visible. The folder is read while decorating, so the user's own setting is put back.
-    before, config.CACHE_DIR = config.CACHE_DIR, str(_cache_folder(Path(inspect.getfile(function))))
+    before, config.CACHE_DIR = config.CACHE_DIR, str(_cache_folder(source))
+    if source.is_file():  # not what is typed in a notebook
+        # numba keys by that file's path, too: without links in it, a clone and its editable install share the cache.
+        function.__code__ = function.__code__.replace(co_filename=str(source.resolve()))
     try:
         return cast("Callable[P, R]", numba.njit(function, cache=True, nogil=True, **_OPTIONS))
     finally:
         config.CACHE_DIR = before
 
 
-def source_hash(beside: Sequence[Path] = ()) -> str:
+def source_hash(beside: Iterable[Path] = ()) -> str:
     """Sixteen letters that change with the layout, with any file of the kernel, and with the files `beside` them."""
     digest = hashlib.sha256()
     for file in (_PACKAGE / "layout.py", *_python_files(_PACKAGE / "kernel"), *beside):
@@ -61,20 +67,28 @@ def source_hash(beside: Sequence[Path] = ()) -> str:
 
 
 def _cache_folder(source: Path) -> Path:
-    """Folder of the compiled code of a file, named by the source of all compiled code that it may call."""
+    """Folder of the compiled code of a file, named by the source of all compiled code that the file may call."""
     root = Path(config.CACHE_DIR) if config.CACHE_DIR else Path(platformdirs.user_cache_dir("fovconn_env"))
     return root / source_hash(compiled_files(source))
 
 
 def compiled_files(source: Path) -> list[Path]:
-    """Files beside `source`, a file with compiled code, that hold some, too.
+    """Files above the kernel that the compiled code of the file `source` is made of.
 
-    In this package those of the same wing (`baselines`, `render`, ...), in all its folders; elsewhere the whole folder.
+    In this package those of its wing (`baselines`, `flights`, ...), for no wing calls compiled code of another; for a
+    file from elsewhere those of all wings, and its own folder.
     """
-    if _PACKAGE not in source.parents:
-        return sorted(source.parent.glob("*.py"))
-    wing = _PACKAGE / source.relative_to(_PACKAGE).parts[0]
-    return [file for file in _python_files(wing) if _MARK in file.read_bytes()]
+    if _PACKAGE in source.parents:
+        return list(_folders_of_compiled_code(_PACKAGE / source.relative_to(_PACKAGE).parts[0]))
+    wings = sorted(path for path in _PACKAGE.iterdir() if path.is_dir())
+    return [*sorted(source.parent.glob("*.py")), *(file for wing in wings for file in _folders_of_compiled_code(wing))]
+
+
+@functools.cache
+def _folders_of_compiled_code(wing: Path) -> tuple[Path, ...]:
+    """All .py files of the folders that hold compiled code: it takes constants from the files beside it."""
+    folders = {file.parent for file in _python_files(wing) if _MARK.search(file.read_bytes())}
+    return tuple(sorted(file for folder in folders for file in folder.glob("*.py")))
 
 
 def _python_files(folder: Path) -> list[Path]:
