@@ -53,6 +53,7 @@ lint: $(VENV)/installed-dev  ## ruff (rules and format), the direction of import
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
 	$(BIN)/pyright --pythonpath $(BIN)/python
+	$(BIN)/pyright --pythonpath $(BIN)/python -p tests/user_project
 
 format: $(VENV)/installed-dev  ## let ruff format the code and sort the imports
 	$(BIN)/ruff check --fix .

@@ -1,0 +1,3 @@
+"""A folder of the user's that is called like one of the clone."""
+
+OWNER = "user"
