@@ -133,7 +133,8 @@ def test_the_notebook_is_kept_without_outputs():
 @pytest.mark.parametrize("page", PAGES)
 def test_links_and_images_resolve(page):
     text, here = PAGES[page].read_text("utf-8"), PAGES[page].parent
-    for target in re.findall(r"\]\(([^)\s]+)\)", prose(text)):
+    for name, target in re.findall(r"([\w.]*)\]\(([^)\s]+)\)", prose(text)):
+        assert not name.endswith(".py") or target.endswith(name), f"{page} calls {target} {name}"
         if target.startswith(("https://", "http://", "mailto:")):
             continue
         name, _, anchor = target.partition("#")
