@@ -19,7 +19,8 @@ from fovconn_env.flights.metrics import ERRORS, Meter
 from fovconn_env.kernel import records
 
 ROOT = Path(__file__).parents[1]
-PAGES = {str(page.relative_to(ROOT)): page for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))}
+FILES = (ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md")))
+PAGES = {str(file.relative_to(ROOT)): file for file in FILES}
 README = PAGES["README.md"].read_text("utf-8")
 FACTORIES = [field.default_factory for field in dataclasses.fields(Scenario)]
 GROUPS = [kind for kind in FACTORIES if isinstance(kind, type)]  # Clock, Camera, ...: MISSING is no class
@@ -228,6 +229,14 @@ def test_functions_in_the_symbol_table_exist():
     for function, file in found:
         module = file.removeprefix("fovconn_env/").replace("/", ".")
         assert callable(getattr(importlib.import_module(f"fovconn_env.{module}"), function))
+
+
+def test_new_places_in_the_changelog_exist():
+    rows = re.findall(r"^\| `[\w.]+` \| `([\w.]+)` \|$", PAGES["CHANGELOG.md"].read_text("utf-8"), re.MULTILINE)
+    assert len(rows) > 60
+    for module in rows:
+        path = ROOT / module.replace(".", "/")
+        assert path.is_dir() or path.with_suffix(".py").is_file(), module
 
 
 def test_every_measure_is_defined():
