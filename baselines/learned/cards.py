@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,6 +21,7 @@ from fovconn_env.baselines.laws.expert import Expert
 from fovconn_env.baselines.learned import inputs
 from fovconn_env.baselines.policy import Policy
 from fovconn_env.errors import rule
+from fovconn_env.files import write_files
 
 SUFFIX = ".safetensors"
 FOLDER = Path(__file__).parent / "weights"  # those of this repository
@@ -47,29 +47,13 @@ class Card:
 
 
 def write(file: Path, arrays: Mapping[str, np.ndarray], **told: Any) -> Card:
-    """Write weights and card, each in one go; raises `OSError` and leaves what was there where that fails."""
+    """Write weights and card, both or, after an `OSError`, none."""
     data = _safetensors().save({name: np.ascontiguousarray(array, np.float32) for name, array in arrays.items()})
     columns, meaning = inputs.columns(), inputs.fingerprint()
     card = Card(columns=columns, inputs=meaning, sha256=hashlib.sha256(data).hexdigest(), **told)
     text = json.dumps(dataclasses.asdict(card), indent=1) + "\n"
-    replace({file: data, file.with_suffix(".json"): text.encode()})
+    write_files({file: data, file.with_suffix(".json"): text.encode()})
     return card
-
-
-def replace(contents: Mapping[Path, bytes]) -> None:
-    """Put bytes into files: all are written beside their places before the first takes its own."""
-    parts = {file: file.with_name(file.name + ".part") for file in contents}
-    try:
-        for file, data in contents.items():
-            with parts[file].open("wb") as stream:
-                stream.write(data)
-                stream.flush()
-                os.fsync(stream.fileno())
-        for file, part in parts.items():
-            part.replace(file)
-    finally:
-        for part in parts.values():
-            part.unlink(missing_ok=True)
 
 
 def read(file: Path, names: Mapping[str, Sequence[str]]) -> tuple[Card, dict[str, np.ndarray]]:

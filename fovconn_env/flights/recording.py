@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fovconn_env.errors import rule
-from fovconn_env.files import Contents, Damaged, read_contents, write_contents
+from fovconn_env.files import RECORDING, Archive, Damaged, read_archive, write_archive
 from fovconn_env.kernel.jit import source_hash
 from fovconn_env.scenarios.presets import Scenario
 from fovconn_env.scenarios.serialize import scenario_from_json, scenario_to_json
@@ -71,17 +71,17 @@ class Recording:
         named = {name: getattr(self, name) for name in ("seed", "events", "policies", "versions", "outcome", "hashes")}
         header = {"scenario": scenario_to_json(self.scenario), "starts": scenario_to_json(self.starts), **named}
         arrays = {"sticks": self.sticks, "actions": self.actions}
-        write_contents(Path(path), Contents(header, arrays if self.poses is None else arrays | {"poses": self.poses}))
+        arrays |= {} if self.poses is None else {"poses": self.poses}
+        write_archive(Path(path), RECORDING, Archive(header, arrays))
 
 
 def load(path: str | Path) -> Recording:
     """Read a recording.
 
-    Raises `OSError` for a file that cannot be read, `recording_files.NotARecording` for one of something else,
-    `recording_files.Damaged` for one that is cut off or changed, and `OtherVersion` for one whose settings are not
-    those of this version.
+    Raises `OSError` for a file that cannot be read, `files.OtherKind` for one of something else, `files.Damaged` for
+    one that is cut off or changed, and `OtherVersion` for one whose settings are not those of this version.
     """
-    header, arrays = read_contents(Path(path))
+    header, arrays = read_archive(Path(path), RECORDING)
     try:
         words: dict[str, Any] = header | {
             "scenario": scenario_from_json(header["scenario"]),

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from fovconn_env.errors import rule
+from fovconn_env.files import write_text
 from fovconn_env.maps.outlines import Short
 from fovconn_env.maps.svg import read_svg
 
@@ -73,12 +73,7 @@ def write_entries(path: Path, entries: Sequence[Sequence[tuple[str, Mapping[str,
         lines.append(parts[0] if len(parts) == 1 else f"[{', '.join(parts)}]")
     body = ",\n  ".join(lines)
     text = f'{{\n "format": "{FORMAT}",\n "version": {VERSION},\n "obstacles": [\n  {body}\n ]\n}}\n'
-    aside = path.with_name(f"{path.name}.{os.getpid()}.part")  # what is there stays until the new one is whole
-    try:
-        aside.write_text(text, "utf-8")
-        aside.replace(path)
-    finally:
-        aside.unlink(missing_ok=True)
+    write_text(path, text)
 
 
 def _text(path: Path) -> str:

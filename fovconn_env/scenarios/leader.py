@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fovconn_env.errors import as_numbers
-from fovconn_env.files import read_contents
+from fovconn_env.files import RECORDING, read_archive
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Recorded:
     @classmethod
     def from_file(cls, path: str | Path) -> Recorded:
         """The sticks of a recorded flight. Raises as `fovconn_env.flights.recording.load` does."""
-        return cls(read_contents(Path(path)).arrays["sticks"])
+        return cls(read_archive(Path(path), RECORDING).arrays["sticks"])
 
     def __eq__(self, other: object) -> bool:
         return np.array_equal(self.sticks, other.sticks) if isinstance(other, Recorded) else NotImplemented

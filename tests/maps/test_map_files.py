@@ -115,7 +115,7 @@ def test_writing_replaces_whole_or_not_at_all(tmp_path, monkeypatch):
     file = tmp_path / "map.json"
     example().to_file(file)
     before = file.read_bytes()
-    monkeypatch.setattr(Path, "write_text", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+    monkeypatch.setattr(Path, "write_bytes", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
     with pytest.raises(OSError, match="disk full"):
         Map().to_file(file)
     assert file.read_bytes() == before

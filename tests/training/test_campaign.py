@@ -58,7 +58,7 @@ def test_what_is_there_is_not_flown_again(tmp_path, monkeypatch, blocks):
     with pytest.raises(TypeError):
         fly_cells(CELLS[:1], range(4), folder=tmp_path, fresh=True)
     file.write_bytes(file.read_bytes()[:-200])
-    with pytest.raises(ValueError, match=r"is damaged .*: delete it"):
+    with pytest.raises(ValueError, match=r"is damaged .*; delete it"):
         fly_cells(CELLS[:1], range(4), folder=tmp_path)
 
 

@@ -57,7 +57,7 @@ def test_recorded_flights_become_episodes():
         seen.append(recorder.step(actions).copy())
         got.append(recorder.simulator.rewards[0].copy())
     found = datasets.from_recordings([recorder.recording(), recorder.recording()])
-    assert found.told["policy"] == "human, expert"
+    assert found.header["policy"] == "human, expert"
     assert found.arrays["length"].tolist() == [7] * 8
     for k, episode in enumerate(found.each()):
         i = k % 4
@@ -99,14 +99,14 @@ def test_others_can_read_it(episodes, tmp_path):
     """With numpy alone, and without running code of the file."""
     file = save(episodes, tmp_path / "flights.npz")
     with np.load(file, allow_pickle=False) as data:
-        told = json.loads(str(data["told"]))
-        assert set(data.files) == {"observations", *STEPS, *EPISODES, "told"}
+        header = json.loads(data["fovconn_episodes"].tobytes())
+        assert set(data.files) == {"observations", *STEPS, *EPISODES, "fovconn_episodes"}
         assert data["observations"].shape == (8 * 13, 205)
-    assert told["format"] == "fovconn-episodes-1"
-    assert told["policy"] == "expert"
-    assert told["scenario"]["n_agents"] == 4
-    assert told["action_units"] == [2.5, 2.5, 2.5, 1.0]
-    assert told["columns"]["action"] == ["vx", "vy", "vz", "yaw_rate"]
+    assert header["format"] == "fovconn-episodes-2"
+    assert header["policy"] == "expert"
+    assert header["scenario"]["n_agents"] == 4
+    assert header["action_units"] == [2.5, 2.5, 2.5, 1.0]
+    assert header["columns"]["action"] == ["vx", "vy", "vz", "yaw_rate"]
 
 
 # ---------------------------------------------------------------------------------------------------- bad input
@@ -129,11 +129,7 @@ BROKEN = {
     "inf": (lambda e: changed(e, "rewards", lambda a: a + np.inf), "rewards of .* must be finite, got inf for uav_0"),
     "rows missing": (lambda e: changed(e, "actions", lambda a: a[:-1]), "actions of .* must be 96 rows, got 95"),
     "no episode": (lambda e: changed(e, "length", lambda a: a[:0]), "episodes of .* must be at least 1"),
-    "format": (
-        lambda e: e._replace(told={**e.told, "format": "x"}),
-        "format .* must be fovconn-episodes-1, got 'x'",
-    ),
-    "columns": (lambda e: e._replace(told={**e.told, "columns": {}}), "another observation layout"),
+    "columns": (lambda e: e._replace(header={**e.header, "columns": {}}), "another observation layout"),
 }
 
 
@@ -149,15 +145,15 @@ def test_bad_data_is_one_clear_line(what, episodes, tmp_path):
 def test_a_damaged_file(episodes, tmp_path):
     file = save(episodes, tmp_path / "flights.npz")
     file.write_bytes(file.read_bytes()[:-200])
-    with pytest.raises(ValueError, match="must be a data set, got another or a damaged file"):
+    with pytest.raises(ValueError, match="is damaged or not complete"):
         load(file)
     with pytest.raises(ValueError, match=r"data set must be a file that exists, got .*none\.npz"):
         load(tmp_path / "none.npz")
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
-    with pytest.raises(ValueError, match="must be a data set"):
+    with pytest.raises(ValueError, match="is no data set"):
         load(tmp_path / "other.npz")
     np.savez(tmp_path / "code.npz", told=np.array([object()], dtype=object))
-    with pytest.raises(ValueError, match="must be a data set"):
+    with pytest.raises(ValueError, match="is no data set"):
         load(tmp_path / "code.npz")
 
 
@@ -166,7 +162,7 @@ def test_the_command(fovconn, tmp_path):
     shown = fovconn("train", "record", "--policy", "follow", *words, "--out", "data/follow.npz")
     assert shown.status == 0
     assert "wrote data/follow.npz: 6 episodes, 54 steps" in shown.out
-    assert datasets.load(tmp_path / "data" / "follow.npz").told["policy"] == "follow"
+    assert datasets.load(tmp_path / "data" / "follow.npz").header["policy"] == "follow"
     for words, message in (
         (("--policy", "folow"), "did you mean 'follow'"),
         (("--out", "follow.txt"), "--out must be a file that ends in .npz"),

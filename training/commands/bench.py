@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from fovconn_env import scenario
+from fovconn_env.files import write_text
 from fovconn_env.training.bench.cases import FULL, PEERS, QUICK
 from fovconn_env.training.bench.timing import GROUPS, INSTALLED, agenda, run
 from fovconn_env.training.commands.options import ScenarioName, Settings, check_writable, parse
@@ -63,7 +64,7 @@ def command(
     for line in report["missing"]:
         out.print(f"not timed: {line}", highlight=False, markup=False)
     if json_file is not None:
-        json_file.write_text(json.dumps(report, indent=1) + "\n")
+        write_text(json_file, json.dumps(report, indent=1) + "\n")
         out.print(f"wrote {json_file}")
     if picture is not None:
         plot(report, picture)

@@ -11,7 +11,6 @@ import multiprocessing
 import os
 import signal
 import threading
-import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -23,6 +22,7 @@ import numpy as np
 import fovconn_env
 from fovconn_env import PRESETS, Scenario, baselines
 from fovconn_env.baselines import POLICIES, find_policy
+from fovconn_env.files import Archive, Kind, read_archive, write_archive
 from fovconn_env.training.evaluation.flights import Evaluation, fly, join, label
 from fovconn_env.training.evaluation.results import plain
 
@@ -30,6 +30,7 @@ DEV_SEEDS = range(320)  # frozen: development; a held-out set is kept apart
 # as it is, sight hidden, parts that fail, a narrow field of view: each parts other policies
 QUICK = ("LeaderFollow-v0", "LeaderObstacles-v0", "Blackout-v0", "NarrowCamera-v0")
 SUITES = {"quick": (QUICK, DEV_SEEDS[:32]), "full": (tuple(PRESETS), DEV_SEEDS)}  # scenarios and seeds, of all policies
+EVALUATION = Kind("fovconn_evaluation", "file of finished episodes", "fovconn eval writes them", 1)
 BLOCK = 64  # episodes flown at once by a process
 _POLL = 0.1  # s
 
@@ -216,28 +217,25 @@ class Shelf:
             folder.mkdir(parents=True, exist_ok=True)
 
     def load(self, cell: Cell) -> Evaluation | None:
-        """A cell's episodes, None if there are none; `ValueError` for a damaged file."""
+        """A cell's episodes, None if there are none; `ValueError` for a file that cannot be read."""
         file = self._file(cell)
         if file is None or not file.is_file():
             return None
         try:
-            with file.open("rb") as stream, np.load(stream) as kept:
-                data = {name: kept[name] for name in kept.files}
-            histograms, seeds = data.pop("histograms"), data.pop("seeds").tolist()
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as problem:
-            raise ValueError(f"{file} is damaged ({problem}): delete it, its episodes are flown again") from problem
-        return Evaluation(label(cell.policy), cell.scenario, seeds, data, histograms)
+            episodes = read_archive(file, EVALUATION).arrays
+        except ValueError as problem:
+            raise ValueError(f"{problem}; delete it, and its episodes are flown again") from problem
+        histograms, seeds = episodes.pop("histograms"), episodes.pop("seeds").tolist()
+        return Evaluation(label(cell.policy), cell.scenario, seeds, episodes, histograms)
 
     def save(self, cell: Cell, evaluation: Evaluation | None) -> None:
         """Put finished episodes in the place of what was there, with no moment in which neither is."""
         file = self._file(cell)
         if file is None or evaluation is None:
             return
-        part = file.with_suffix(".part.npz")
-        arrays: dict[str, Any] = {"seeds": np.array(evaluation.seeds), "histograms": evaluation.histograms}
-        arrays |= evaluation.episodes
-        np.savez_compressed(part, **arrays)
-        part.replace(file)
+        arrays = {"seeds": np.array(evaluation.seeds), "histograms": evaluation.histograms, **evaluation.episodes}
+        header = {"policy": evaluation.policy, "scenario": evaluation.scenario.name}
+        write_archive(file, EVALUATION, Archive(header, arrays))
 
     def _file(self, cell: Cell) -> Path | None:
         if self.folder is None:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import csv
 import importlib.util
-import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from fovconn_env import Flight
+from fovconn_env.files import replacing
 
 Watch = Callable[[int, int], None]  # told how much is done, and of how much
 MP4_FPS, MP4_SPEEDUP = 20, 2.0
@@ -119,17 +118,6 @@ def check_installed(what: str, packages: tuple[str, ...] = ("matplotlib", "PIL")
 def write_flight(flight: Flight, path: Path, watch: Watch) -> Path:
     """Write a flight in the format of the path's suffix; a file that is there stays until the new one is whole."""
     check_out(path)
-    with whole(path) as aside:
-        WRITERS[path.suffix][0](flight, aside, watch)
+    with replacing(path) as (part,):
+        WRITERS[path.suffix][0](flight, part, watch)
     return path
-
-
-@contextmanager
-def whole(path: Path) -> Iterator[Path]:
-    """A path to write to that takes the place of `path` when all went well."""
-    aside = path.with_name(f"{path.stem}.{os.getpid()}.part{path.suffix}")
-    try:
-        yield aside
-        aside.replace(path)
-    finally:
-        aside.unlink(missing_ok=True)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from fovconn_env.files import write_text
 from fovconn_env.flights.metrics import SPLIT_CAUSE
 from fovconn_env.training.evaluation.comparison import (
     EXPERT,
@@ -85,8 +86,8 @@ def write_report(comparison: Comparison, folder: Path, head: Mapping[str, str]) 
     sections = [_overview(comparison), *(_scenario(comparison, name, plots) for name in comparison.scenarios)]
     sections.append(Section("Definitions", terms=TERMS, link=("docs/metrics.md", _link(folder))))
     page, text = folder / "report.html", folder / "report.md"
-    text.write_text(markdown(head, sections, folder), "utf-8")
-    page.write_text(html(head, sections), "utf-8")
+    write_text(text, markdown(head, sections, folder))
+    write_text(page, html(head, sections))
     return [text, page, *(picture.path for section in sections for picture in section.pictures)]
 
 

@@ -19,6 +19,7 @@ import numpy as np
 import fovconn_env
 from fovconn_env import PRESETS, Map, Scenario
 from fovconn_env.baselines import find_policy
+from fovconn_env.files import write_text
 from fovconn_env.flights.metrics import ERRORS, bin_edges
 from fovconn_env.training.evaluation.comparison import (
     Comparison,
@@ -117,7 +118,7 @@ def publish(results: Sequence[Evaluation], policies: Sequence[str], folder: Path
 
 def write_json(file: Path, record: dict[str, Any]) -> Path:
     """Write a record to a file and return it."""
-    file.write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n", "utf-8")
+    write_text(file, json.dumps(record, indent=1, ensure_ascii=False) + "\n")
     return file
 
 

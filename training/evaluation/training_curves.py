@@ -16,6 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # runs from a clon
 import matplotlib
 from matplotlib.figure import Figure
 
+from fovconn_env.files import write_text
 from fovconn_env.render.figures import style
 
 FOLDER = Path(__file__).resolve().parents[2] / "docs" / "results" / "curves"
@@ -40,7 +41,7 @@ def keep(run: Path) -> None:
     lines = (run / "curves.csv").read_text("utf-8").splitlines()
     kept = [line for line in lines[1:] if line.split(",")[1] in PANELS]
     FOLDER.mkdir(parents=True, exist_ok=True)
-    (FOLDER / f"{run.name}.csv").write_text("\n".join([lines[0], *kept, ""]), "utf-8")
+    write_text(FOLDER / f"{run.name}.csv", "\n".join([lines[0], *kept, ""]))
 
 
 @matplotlib.rc_context(style.RC)

@@ -51,7 +51,7 @@ class BC(Algorithm):
         model = make_model(Rows(scenarios[:1], 1, n_threads=1), network, seed)
         super().__init__(model, scenarios, seed, s, network)
         pairs = [episodes.pairs() for episodes in data]
-        units = [np.array(episodes.told["action_units"], np.float32) / UNITS for episodes in data]
+        units = [np.array(episodes.header["action_units"], np.float32) / UNITS for episodes in data]
         sizes, size = {observations.shape[1] for observations, _ in pairs}, self.scenarios[0].observation_size
         hint = "record with the max_neighbors and max_ranges to be flown with"
         rule(sizes == {size}, "columns of the data", f"the scenario's ({size})", sorted(sizes), hint)

@@ -7,9 +7,9 @@
     length            (E,) int64           T_e; S is their sum, episodes follow each other
     seed, agent       (E,) int64           world and robot; all robots of a world end together
     success, never_disconnected (E,) bool
-    told              JSON text            format, policy, scenario with all settings, columns, units of the actions
+    fovconn_episodes  JSON as bytes        format, policy, scenario with all settings, columns, units of the actions
 
-To read one runs no code of the file: `numpy.load(file, allow_pickle=False)`.
+The file is an archive of `fovconn_env.files`; others read it with `numpy.load(file, allow_pickle=False)`.
 """
 
 from __future__ import annotations
@@ -25,12 +25,14 @@ from fovconn_env import Recording, Scenario, Simulator
 from fovconn_env.baselines import Policy, find_policy
 from fovconn_env.baselines.learned.inputs import columns, full_scale
 from fovconn_env.errors import rule
+from fovconn_env.files import Archive, Kind, read_archive, write_archive
 from fovconn_env.flights.recording import play_back
 from fovconn_env.training.evaluation.flights import label
 from fovconn_env.training.evaluation.results import plain
-from fovconn_env.training.learn import archives
 
-FORMAT = "fovconn-episodes-1"
+KIND = Kind(
+    "fovconn_episodes", "data set", "fovconn train record writes them", "fovconn-episodes-2", old_key="action_units"
+)
 STEPS = ("actions", "rewards", "terminations", "truncations")  # one row a step
 EPISODES = ("length", "seed", "agent", "success", "never_disconnected")
 KINDS = {"observations": "f4", "actions": "f4", "rewards": "f4", "terminations": "?", "truncations": "?"}
@@ -41,7 +43,7 @@ class Episodes(NamedTuple):
     """What a file holds; see the module."""
 
     arrays: dict[str, np.ndarray]
-    told: dict[str, Any]
+    header: dict[str, Any]  # policy, scenario, columns, action_units, ...
 
     def each(self) -> Iterator[dict[str, Any]]:
         """The episodes, each a dict of its own rows."""
@@ -83,7 +85,7 @@ def record(
         progress(float(simulator.over.mean()))
     flights["observations"].append(observations.copy())
     stacked = {name: np.stack(parts) for name, parts in flights.items()}
-    return Episodes(_episodes(simulator, stacked, seeds, split), _told(label(policy), simulator.scenario))
+    return Episodes(_episodes(simulator, stacked, seeds, split), _header(label(policy), simulator.scenario))
 
 
 def from_recordings(
@@ -113,14 +115,14 @@ def from_recordings(
         progress(done / len(recordings))
     arrays = {name: np.concatenate([part[name] for part in parts]) for name in KINDS}
     pilots = dict.fromkeys(pilot for recording in recordings for pilot in recording.policies)
-    return Episodes(arrays, _told(", ".join(pilots), recordings[0].scenario))
+    return Episodes(arrays, _header(", ".join(pilots), recordings[0].scenario))
 
 
-def _told(policy: str, scenario: Scenario) -> dict[str, Any]:
-    told = {"format": FORMAT, "fovconn_env": fovconn_env.__version__, "policy": policy}
-    told |= {"scenario": plain(scenario), "columns": columns()}
-    told |= {"max_neighbors": scenario.max_neighbors, "max_ranges": scenario.max_ranges}
-    return told | {"action_units": full_scale(scenario).tolist()}
+def _header(policy: str, scenario: Scenario) -> dict[str, Any]:
+    header = {"fovconn_env": fovconn_env.__version__, "policy": policy}
+    header |= {"scenario": plain(scenario), "columns": columns()}
+    header |= {"max_neighbors": scenario.max_neighbors, "max_ranges": scenario.max_ranges}
+    return header | {"action_units": full_scale(scenario).tolist()}
 
 
 def _episodes(
@@ -146,24 +148,24 @@ def _episodes(
 
 
 def save(episodes: Episodes, file: str | Path) -> Path:
-    """Write episodes, in one go."""
+    """Write episodes, atomically."""
     file = Path(file)
-    archives.save(file, episodes.arrays, episodes.told, compressed=True)
+    write_archive(file, KIND, Archive(episodes.header, episodes.arrays))
     return file
 
 
 def load(file: str | Path) -> Episodes:
     """Read and check a file; `ValueError` names what is wrong with it and where."""
     file = Path(file)
-    arrays, told = archives.load(file, "data set", "fovconn train record writes one")
-    rule(told.get("format") == FORMAT, f"format of {file}", FORMAT, told.get("format"), "written by another version")
+    rule(file.is_file(), "data set", "a file that exists", str(file), KIND.source)
+    header, arrays = read_archive(file, KIND)
     for table, names in columns().items():
-        there = told.get("columns", {}).get(table, [])
+        there = header.get("columns", {}).get(table, [])
         odd = sorted(set(there) ^ set(names)) or "another order"
         hint = f"recorded with another observation layout, which differs in {odd}; record it anew"
         rule(there == names, f"columns {table!r} of {file}", f"the {len(names)} of this version", len(there), hint)
     _check(file, arrays)
-    return Episodes(arrays, told)
+    return Episodes(arrays, header)
 
 
 def _check(file: Path, arrays: dict[str, np.ndarray]) -> None:

@@ -30,19 +30,20 @@ from torch.utils.tensorboard import SummaryWriter
 import fovconn_env
 from fovconn_env import Scenario
 from fovconn_env.baselines.laws.safety import safe
-from fovconn_env.baselines.learned.cards import SUFFIX, replace, write
+from fovconn_env.baselines.learned.cards import SUFFIX, write
 from fovconn_env.baselines.learned.networks import ENCODERS
 from fovconn_env.baselines.learned.policy import Encoder, Head, from_file
 from fovconn_env.errors import check_count, rule
+from fovconn_env.files import Archive, Kind, read_archive, write_archive, write_files, write_text
 from fovconn_env.training.evaluation import evaluate, summary
 from fovconn_env.training.evaluation.campaign import Interrupted, noted_interruption
 from fovconn_env.training.evaluation.results import plain
-from fovconn_env.training.learn import archives
 from fovconn_env.training.learn.rows import Rows
 
 CHOICE_SEEDS = range(10_000, 10_064)  # choose the checkpoint; 0-319 are kept for the evaluation
 SCORES = "never_disconnected success sct progress collision".split()
 CHECKPOINT = "checkpoint.npz"
+KIND = Kind("fovconn_checkpoint", "checkpoint", "a training writes them", 2, old_key="recipe")
 
 
 # ------------------------------------------------------------------------------------------------------------ model
@@ -211,7 +212,7 @@ class Curves:
         self._file = folder / "curves.csv"
         lines = self._file.read_text().splitlines()[1:] if self._file.is_file() and step else []
         kept = [line for line in lines if int(line.split(",")[0]) <= step]
-        self._file.write_text("\n".join(["step,name,value", *kept, ""]))
+        write_text(self._file, "\n".join(["step,name,value", *kept, ""]))
         self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=step or None)
 
     def add(self, step: int, numbers: Mapping[str, float]) -> None:
@@ -262,18 +263,20 @@ def train(
     diverges, `OSError` where a file cannot be written; what was there before stays.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    place, best = folder / CHECKPOINT, {"worth": -np.inf}
+    place, best = folder / CHECKPOINT, {}
     if resume:
         hint = "--resume goes on in a folder in which a training was"
-        arrays, told = archives.load(place, "checkpoint", hint)
-        check_recipe(told["recipe"], algorithm.recipe())
-        algorithm.unpack(arrays)
-        best = told["best"]
+        rule(place.is_file(), "checkpoint", "a file that exists", str(place), hint)
+        checkpoint = read_archive(place, KIND)
+        check_recipe(checkpoint.header["recipe"], algorithm.recipe())
+        algorithm.unpack(checkpoint.arrays)
+        best = checkpoint.header["best"]
     curves, before = Curves(folder, algorithm.steps), algorithm.seconds
     began = time.perf_counter()
 
     def save() -> None:
-        archives.save(place, algorithm.pack(), {"recipe": algorithm.recipe(), "best": best})
+        header = {"recipe": algorithm.recipe(), "best": best}
+        write_archive(place, KIND, Archive(header, algorithm.pack()), compress=False)
 
     with noted_interruption() as interrupted:
         share = budget.share(algorithm.steps, algorithm.seconds)
@@ -288,7 +291,7 @@ def train(
                 progress(share, "scoring")
                 scored = score(algorithm, folder, seeds)
                 found |= {f"score/{name}": value for name, value in scored.items()}
-                if scored["worth"] > best["worth"]:
+                if scored["worth"] > best.get("worth", -np.inf):
                     best = {**scored, "steps": algorithm.steps}
                     write_policy(algorithm, folder, best, seeds)
                 save()
@@ -328,7 +331,7 @@ def write_policy(
     if file is None:
         stream = io.BytesIO()
         algorithm.model.save(stream)
-        replace({folder / "model.zip": stream.getvalue()})
+        write_files({folder / "model.zip": stream.getvalue()})
     write(
         file or folder / f"{algorithm.name}{SUFFIX}",
         weights(algorithm.policy),

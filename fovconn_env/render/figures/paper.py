@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fovconn_env.files import write_text
 from fovconn_env.flights.flight import Flight
 from fovconn_env.render.figures import style
 from fovconn_env.render.figures.curves import draw_activation, draw_potential
@@ -40,5 +41,5 @@ def draw_all(
         "fig7_relative_yaw": draw_relative_yaw(flight),
     }
     table = folder / "table1_parameters.md"
-    table.write_text(markdown(parameters(flight.scenario, law)), encoding="utf-8")
+    write_text(table, markdown(parameters(flight.scenario, law)))
     return [*(style.save(figure, folder / f"{name}.png") for name, figure in drawn.items()), table]

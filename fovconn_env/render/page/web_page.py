@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from fovconn_env.files import write_text
 from fovconn_env.flights.flight import Flight
 from fovconn_env.render import palette, sight
 from fovconn_env.render.obstacles import outlines
@@ -42,7 +43,7 @@ def write_page(flight: Flight, path: Path, *, progress: Callable[[int, int], Non
         if progress is not None:
             progress(done, len(_PARTS))
     page = re.sub(r"\{\{(\w+)\}\}", lambda mark: parts[mark[1]], _read("page.html"))
-    path.write_text(page, encoding="utf-8")
+    write_text(path, page)
     return path
 
 
