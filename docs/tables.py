@@ -87,6 +87,7 @@ def settings_table(name: str) -> str:
     rows = []
     for field, annotation, default, comment in _FIELD.findall(inspect.getsource(kind)):
         factory = re.fullmatch(r"field\(default_factory=(\w+)\)", default)
+        default = re.sub(r"^(positive|non_negative|fraction)\((.*?)(, infinite=True)?\)$", r"\2", default)
         choices = re.fullmatch(r"Literal\[(.*)\](?: \| (\w+))?", annotation)
         words = [f'`"{word}"`' for word in ast.literal_eval(f"({choices[1]},)")] if choices else []
         words = " or ".join(words + ([f"a `{choices[2]}`"] if choices and choices[2] else []))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fovconn_env.baselines.policy import Policy
-from fovconn_env.errors import check_numbers, rule
+from fovconn_env.errors import check_numbers, non_negative, positive, rule
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.maths.geometry import tilt
 from fovconn_env.kernel.maths.weights import weight_gradient
@@ -27,18 +27,18 @@ GAINS = np.dtype((np.record, [(name, "f8") for name in _GAINS]))
 class Gains:
     """What the paper leaves open (docs/decisions.md)."""
 
-    k_v: float = 0.2  # gain of V; 0.05 lost 3.1 % of the teams, 0.2 0.8 % (docs/decisions.md)
-    clamp: float = 0.02  # lambda2_hat is kept this far above lambda2_min, where V has its asymptote
-    k_obs: float = 0.05  # m/s, gain of the repulsion
-    d_min_obs: float = 1.0  # m, its asymptote (Table I)
-    d_max_obs: float = 3.5  # m, where it ends (Table I)
-    closest: float = 1.02  # m, distances are kept above this
-    excite: float = 0.2  # m/s, see `excite`; 0 switches it off
-    forward: float = 0.0  # share of the neighbours' velocity, see `feed_forward`; 0 is the paper's law
-    gather: float = 0.0  # 1/s, see `gather`; 0 is the paper's law
+    k_v: float = positive(0.2)  # gain of V; 0.05 lost 3.1 % of the teams, 0.2 0.8 % (docs/decisions.md)
+    clamp: float = positive(0.02)  # lambda2_hat is kept this far above lambda2_min, where V has its asymptote
+    k_obs: float = positive(0.05)  # m/s, gain of the repulsion
+    d_min_obs: float = positive(1.0)  # m, its asymptote (Table I)
+    d_max_obs: float = positive(3.5)  # m, where it ends (Table I)
+    closest: float = positive(1.02)  # m, distances are kept above this
+    excite: float = non_negative(0.2)  # m/s, see `excite`; 0 switches it off
+    forward: float = non_negative(0.0)  # share of the neighbours' velocity, see `feed_forward`; 0 is the paper's law
+    gather: float = non_negative(0.0)  # 1/s, see `gather`; 0 is the paper's law
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="k_v clamp k_obs d_min_obs d_max_obs closest", at_least="excite forward gather")
+        check_numbers(self)
         hint = "at 1 a team without a leader drifts for ever"
         rule(self.forward < 1.0, "Gains.forward", "below 1", self.forward, hint)
         ordered = self.d_min_obs < self.closest < self.d_max_obs

@@ -23,7 +23,7 @@ import numpy as np
 
 from fovconn_env.baselines.laws.expert import descend
 from fovconn_env.baselines.policy import Policy
-from fovconn_env.errors import check_numbers
+from fovconn_env.errors import check_numbers, non_negative, positive
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.world.kinematics import saturate
 from fovconn_env.layout import rows
@@ -37,11 +37,11 @@ _GROWTHS, _STEPS = 20, 60  # by a factor of 4, then of bisection: to the last bi
 class Barrier:
     """How near to its bound lambda2 may come, and how fast."""
 
-    alpha: float = 4.0  # 1/s, the distance to the bound shrinks no faster than e^(-alpha t)
-    margin: float = 0.3  # the bound is this far above lambda2_min: estimates lag
+    alpha: float = positive(4.0)  # 1/s, the distance to the bound shrinks no faster than e^(-alpha t)
+    margin: float = non_negative(0.3)  # the bound is this far above lambda2_min: estimates lag
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="alpha", at_least="margin")
+        check_numbers(self)
 
 
 class Safe(Policy):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fovconn_env.errors import as_numbers, check_numbers, rule
+from fovconn_env.errors import as_numbers, check_numbers, positive, rule
 from fovconn_env.maps.obstacles import HIGH, LOW, Map
 
 
@@ -19,13 +19,13 @@ class Corridor:
     """
 
     width: tuple[float, float] = (3.0, 3.5)  # m, of the gap, least and greatest
-    depth: float = 0.5  # m, of the gap: the wall's thickness; its ends are round
-    reach: float = 15.0  # m, of the wall to either side of the gap
+    depth: float = positive(0.5)  # m, of the gap: the wall's thickness; its ends are round
+    reach: float = positive(15.0)  # m, of the wall to either side of the gap
     low: float = LOW  # m, height interval
     high: float = HIGH  # m
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="depth reach")
+        check_numbers(self)
         width = as_numbers("Corridor.width", self.width)
         fine = bool(width.shape == (2,) and np.isfinite(width).all() and 0 < width[0] <= width[1])
         rule(fine, "Corridor.width", "two numbers, 0 < least <= greatest", self.width, "metres")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fovconn_env.errors import as_numbers
+from fovconn_env.errors import SettingError, as_numbers
 from fovconn_env.files import RECORDING, read_archive
 
 
@@ -25,10 +25,10 @@ class Recorded:
     def __post_init__(self) -> None:
         sticks = as_numbers("Recorded.sticks", self.sticks).copy()
         if sticks.ndim != 2 or sticks.shape[1] != 3:
-            raise ValueError(f"Recorded.sticks must have the shape (T, 3), got {sticks.shape}: m/s, one row a step")
+            raise SettingError(f"Recorded.sticks must have the shape (T, 3), got {sticks.shape}: m/s, one row a step")
         if not np.isfinite(sticks).all():
             row = int(np.argwhere(~np.isfinite(sticks))[0, 0])
-            raise ValueError(f"Recorded.sticks must be finite, got {sticks[row].tolist()} in row {row}: m/s")
+            raise SettingError(f"Recorded.sticks must be finite, got {sticks[row].tolist()} in row {row}: m/s")
         sticks.flags.writeable = False
         object.__setattr__(self, "sticks", sticks)
 

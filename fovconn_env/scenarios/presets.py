@@ -13,7 +13,15 @@ from typing import Any, Literal
 import numpy as np
 
 from fovconn_env import layout
-from fovconn_env.errors import check_numbers, rule
+from fovconn_env.errors import (
+    SettingError,
+    SettingTypeError,
+    check_numbers,
+    non_negative,
+    positive,
+    rule,
+    unknown_keyword,
+)
 from fovconn_env.kernel.records import PARAMS
 from fovconn_env.maps.corridor import Corridor
 from fovconn_env.maps.forest import Forest
@@ -72,15 +80,15 @@ def _check_group(name: str, value: object) -> None:
     kind = _GROUPS[name]
     if not isinstance(value, kind):
         hint = f"write {name}={kind.__name__}(...)"
-        raise TypeError(f"Scenario.{name} must be a {kind.__name__}, got {value!r}: {hint}")
+        raise SettingTypeError(f"Scenario.{name} must be a {kind.__name__}, got {value!r}: {hint}")
 
 
 def _replace(settings: Any, changes: dict[str, Any]) -> Any:
-    """Frozen settings with some changed; an unknown name is a `ValueError` with the nearest one."""
+    """Frozen settings with some changed; an unknown name is a `SettingTypeError` with the nearest one."""
     known = tuple(item.name for item in dataclasses.fields(settings))
     for name in changes:
         if name not in known:
-            raise ValueError(f"{type(settings).__name__} has no setting {name!r}: {_closest(name, known)}")
+            raise unknown_keyword(type(settings).__name__, name, _closest(name, known))
     return dataclasses.replace(settings, **changes)
 
 
@@ -88,7 +96,7 @@ def _replace(settings: Any, changes: dict[str, Any]) -> Any:
 class Scenario:
     """Settings of one environment. Every constructor of the package takes one, or its id and the same keywords.
 
-    Raises `ValueError` for a setting that is unknown or impossible, naming field, rule, value and a likely cause.
+    Raises `SettingError` for a setting that is impossible, naming field, rule, value and a likely cause.
     """
 
     name: str = "Custom-v0"
@@ -100,18 +108,18 @@ class Scenario:
     link: Literal["sight", "radio"] = "sight"  # messages pass while A_ij > 0, or within d_max
     leader: Literal["waypoints", "none", "random", "human"] | Recorded = "waypoints"  # what moves the operator's stick
     leader_index: int = 0
-    speed_limit: float = 1.5  # m/s, Euclidean norm
-    yaw_rate_limit: float = 1.0  # rad/s
-    stick_speed: float = 1.0  # m/s
-    max_neighbors: int = 8  # rows of the observation
-    max_ranges: int = 8
-    max_cycles: int = 2400  # steps
-    warmup: float = 5.0  # s of estimation before an episode, bodies held
-    lambda2_min: float = 0.01
-    lambda2_max: float = 3.01
-    patience: float = 0.0  # s the team may be split
-    collision_robot: float = 0.5  # m between centres; robots are spheres of half of it
-    collision_obstacle: float = 0.25  # m from a centre
+    speed_limit: float = positive(1.5)  # m/s, Euclidean norm
+    yaw_rate_limit: float = positive(1.0)  # rad/s
+    stick_speed: float = positive(1.0)  # m/s
+    max_neighbors: int = positive(8)  # rows of the observation
+    max_ranges: int = positive(8)
+    max_cycles: int = positive(2400)  # steps
+    warmup: float = non_negative(5.0)  # s of estimation before an episode, bodies held
+    lambda2_min: float = non_negative(0.01)
+    lambda2_max: float = positive(3.01)
+    patience: float = non_negative(0.0, infinite=True)  # s the team may be split
+    collision_robot: float = positive(0.5)  # m between centres; robots are spheres of half of it
+    collision_obstacle: float = positive(0.25)  # m from a centre
     clock: Clock = field(default_factory=Clock)
     camera: Camera = field(default_factory=Camera)
     rangefinder: Rangefinder = field(default_factory=Rangefinder)
@@ -135,13 +143,7 @@ class Scenario:
             if name == "leader" and isinstance(value, Recorded):
                 continue
             rule(value in words, f"Scenario.{name}", "one of " + ", ".join(words), value, _closest(value, words))
-        check_numbers(
-            self,
-            above="speed_limit yaw_rate_limit stick_speed max_neighbors max_ranges max_cycles lambda2_max "
-            "collision_robot collision_obstacle",
-            at_least="warmup lambda2_min patience",
-            infinite="patience",
-        )
+        check_numbers(self)
         rule(self.n_agents >= 2, "Scenario.n_agents", "at least 2", self.n_agents, "one robot has no link to keep")
         inside = 0 <= self.leader_index < self.n_agents
         says = f"in 0..{self.n_agents - 1}"
@@ -159,7 +161,7 @@ class Scenario:
             rule(bool(speed <= self.stick_speed * (1 + 1e-6)), "Recorded.sticks", says, float(speed), hint)
         if not isinstance(self.map, (Map, Forest, Corridor, type(None))):
             says, hint = "a Map, a Forest, a Corridor or None", "a file, .json or .svg, goes through Map.from_file"
-            raise TypeError(f"Scenario.map must be {says}, got {self.map!r}: {hint}")
+            raise SettingTypeError(f"Scenario.map must be {says}, got {self.map!r}: {hint}")
         if isinstance(self.map, Corridor):
             hint = "a Corridor stands across the second leg of the leader's course"
             rule(self.leader != "none", "Scenario.leader", "any but none with a Corridor", self.leader, hint)
@@ -170,7 +172,7 @@ class Scenario:
     def _check_faults(self) -> None:
         if not isinstance(self.faults, tuple) or not all(isinstance(fault, Fault) for fault in self.faults):
             hint = "write faults=(Fault(...),)"
-            raise TypeError(f"Scenario.faults must be a tuple of Faults, got {self.faults!r}: {hint}")
+            raise SettingTypeError(f"Scenario.faults must be a tuple of Faults, got {self.faults!r}: {hint}")
         for k, fault in enumerate(self.faults):
             inside, says = fault.robot is None or fault.robot < self.n_agents, f"in 0..{self.n_agents - 1}"
             rule(inside, f"Scenario.faults[{k}].robot", says, fault.robot, "robots are counted from 0")
@@ -323,19 +325,20 @@ def scenario(base: str | Scenario = "LeaderFollow-v0", /, *, level: int = 1, **c
 
     One setting of a group goes by its dotted name: `scenario("LeaderFollow-v0", **{"camera.a_min": 0.5})`; a map and a
     leader may be the name of a file (`Map.from_file`, `Recorded.from_file`).
-    Raises `ValueError` for an unknown id or setting, naming the nearest ones there are, and for an unknown level.
+    Raises `SettingError` for an unknown id, setting or level, naming the nearest ones there are; for a setting it is a
+    `TypeError`, too.
     """
     if isinstance(base, str):
         name = base.removeprefix("fovconn/")
         if name not in PRESETS:
-            raise ValueError(
+            raise SettingError(
                 f"scenario must be one of {', '.join(PRESETS)}, got {base!r}: {_closest(name, tuple(PRESETS))}"
             )
         base = _at_level(PRESETS[name], level)
     elif not isinstance(base, Scenario):
-        raise TypeError(f"scenario must be an id or a Scenario, got {base!r}")
+        raise SettingTypeError(f"scenario must be an id or a Scenario, got {base!r}")
     elif level != 1:
-        raise ValueError(f"level must go with an id, got {level!r} with a Scenario: it has the settings of its level")
+        raise SettingError(f"level must go with an id, got {level!r} with a Scenario: it has the settings of its level")
     for name, kind in (("map", Map), ("leader", Recorded)):
         file = changes.get(name)
         if isinstance(file, (str, Path)) and Path(file).suffix:  # another word is Scenario's to refuse
@@ -344,7 +347,7 @@ def scenario(base: str | Scenario = "LeaderFollow-v0", /, *, level: int = 1, **c
     for name in [name for name in changes if "." in name]:
         group, _, field_name = name.partition(".")
         if group not in _GROUPS:
-            raise ValueError(f"Scenario has no group {group!r}: {_closest(group, tuple(_GROUPS))}")
+            raise unknown_keyword("Scenario", name, _closest(group, tuple(_GROUPS)))
         inner.setdefault(group, {})[field_name] = changes.pop(name)
     for group, part in inner.items():
         whole = changes.get(group, getattr(base, group))

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from fovconn_env.errors import SettingError
 from fovconn_env.maps.corridor import Corridor
 from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map
@@ -33,7 +34,7 @@ def scenario_from_json(record: Mapping[str, Any]) -> Scenario:
     """The scenario of a record; `ValueError` for a setting that there is not, or whose value is refused."""
     found = _built(record)
     if not isinstance(found, Scenario):
-        raise ValueError(f"a scenario's record must be an object of type Scenario, got {type(found).__name__}")
+        raise SettingError(f"a scenario's record must be an object of type Scenario, got {type(found).__name__}")
     return found
 
 
@@ -68,9 +69,9 @@ def _built(value: Any) -> Any:
             result.obstacle(shapes)
         return result
     if kind not in _KINDS:
-        raise ValueError(f"type must be one of {', '.join(_KINDS)}, got {kind!r}: is it of a newer fovconn_env?")
+        raise SettingError(f"type must be one of {', '.join(_KINDS)}, got {kind!r}: is it of a newer fovconn_env?")
     known = {item.name for item in dataclasses.fields(_KINDS[kind])}
     for name in words:
         if name not in known:
-            raise ValueError(f"{kind} has no setting {name!r}: is it of another fovconn_env?")
+            raise SettingError(f"{kind} has no setting {name!r}: is it of another fovconn_env?")
     return _KINDS[kind](**{name: _built(item) for name, item in words.items()})

@@ -14,19 +14,19 @@ from typing import Literal
 
 import numpy as np
 
-from fovconn_env.errors import as_numbers, check_numbers, rule
+from fovconn_env.errors import as_numbers, check_numbers, fraction, non_negative, positive, rule
 
 
 @dataclass(frozen=True, kw_only=True)
 class Clock:
     """Time: a tick of sensing and estimation, ticks of held action in a step, message rounds in a tick."""
 
-    tick: float = 0.01  # s
-    ticks: int = 5
-    rounds: int = 2
+    tick: float = positive(0.01)  # s
+    ticks: int = positive(5)
+    rounds: int = positive(2)
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="tick ticks rounds")
+        check_numbers(self)
         rule(self.tick <= 0.05, "Clock.tick", "at most 0.05", self.tick, "the estimators diverge above (seconds)")
 
 
@@ -34,19 +34,19 @@ class Clock:
 class Camera:
     """Camera and link weights (6)-(11): who is seen, and what a link is worth. Table I."""
 
-    d_min: float = 1.0  # m, gamma (9) rises from here
-    D1: float = 3.0  # m, to here
-    D2: float = 7.0  # m, and falls from here
-    d_max: float = 9.0  # m, to here
+    d_min: float = positive(1.0)  # m, gamma (9) rises from here
+    D1: float = positive(3.0)  # m, to here
+    D2: float = positive(7.0)  # m, and falls from here
+    d_max: float = positive(9.0)  # m, to here
     a_min: float = 0.4  # cosine at the edge of the field of view, f* (10) rises from here
     a_max: float = 0.95  # to here
     optical_axis: tuple[float, float, float] = (1.0, 1.0, 0.0)  # o_C, body frame, any length
     occlusion: bool = False  # obstacles block the sight
-    miss: float = 0.0  # share of sights missed, each tick and pair by itself
-    coast: float = 0.0  # s a missed robot still counts as seen
+    miss: float = fraction(0.0)  # share of sights missed, each tick and pair by itself
+    coast: float = non_negative(0.0)  # s a missed robot still counts as seen
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="d_min D1 D2 d_max", at_least="coast", share="miss")
+        check_numbers(self)
         for low, high in (("d_min", "D1"), ("D1", "D2"), ("D2", "d_max")):
             a, b = getattr(self, low), getattr(self, high)
             hint = "the range weight (9) rises over d_min..D1 and falls over D2..d_max"
@@ -72,40 +72,40 @@ class Camera:
 class Rangefinder:
     """Distance sensor: all directions, anonymous."""
 
-    range_max: float = 3.5  # m, Table I: d_max_obs, where the repulsion ends
+    range_max: float = positive(3.5)  # m, Table I: d_max_obs, where the repulsion ends
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="range_max")
+        check_numbers(self)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Radio:
     """Messages between linked robots."""
 
-    loss: float = 0.0  # share of messages lost, each by itself
-    delay: int = 1  # rounds from writing to delivery, at least 1
-    memory: float = 0.05  # s after which a neighbour that stays silent is dropped
-    liveness: float = 1.0  # s without word of a robot, passed on by others, after which it counts as gone
+    loss: float = fraction(0.0)  # share of messages lost, each by itself
+    delay: int = positive(1)  # rounds from writing to delivery, at least 1
+    memory: float = positive(0.05)  # s after which a neighbour that stays silent is dropped
+    liveness: float = positive(1.0)  # s without word of a robot, passed on by others, after which it counts as gone
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="memory delay liveness", share="loss")
+        check_numbers(self)
 
 
 @dataclass(frozen=True, kw_only=True)
 class YawEstimator:
     """Relative yaw estimator (15)-(21): gains of Table I, thresholds of docs/decisions.md."""
 
-    k1: float = 10.0  # 1/s, observer (15)
-    k2: float = 10.0  # 1/s, one-way correction (21)
-    k3: float = 10.0  # 1/s, mutual correction (20)
-    v_min: float = 0.05  # m/s, k2 rises from here
-    v_max: float = 0.2  # m/s, to here
-    hold: float = 0.3  # s after a robot came into sight in which k2 waits: 3 / k1
+    k1: float = positive(10.0)  # 1/s, observer (15)
+    k2: float = positive(10.0)  # 1/s, one-way correction (21)
+    k3: float = positive(10.0)  # 1/s, mutual correction (20)
+    v_min: float = non_negative(0.05)  # m/s, k2 rises from here
+    v_max: float = positive(0.2)  # m/s, to here
+    hold: float = non_negative(0.3)  # s after a robot came into sight in which k2 waits: 3 / k1
     product: bool = False  # mutual view as f*_ij f*_ji, as printed in (19), instead of yes or no
     lag_free: bool = False  # compare e with v_j filtered alike instead of v_j
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="k1 k2 k3 v_max", at_least="v_min hold")
+        check_numbers(self)
         hint = "the one-way gain (21) rises between them"
         rule(self.v_min < self.v_max, "YawEstimator.v_min", f"below v_max ({self.v_max:g})", self.v_min, hint)
 
@@ -114,17 +114,17 @@ class YawEstimator:
 class PowerIteration:
     """lambda2 and v2 estimator: gains of the power iteration and of its PI consensus, all per message round."""
 
-    k1: float = 0.5  # removes the mean; a lambda2 above k1 / k2 is not found
-    k2: float = 0.08  # Laplacian step
-    k3: float = 0.55  # keeps the norm
-    g: float = 0.09  # consensus: pull to the own input
-    kp: float = 1.0  # proportional
-    ki: float = 0.8  # integral
-    lead: float = 9.0  # rounds by which the mean is looked ahead: its consensus lags by 1 / g
-    team: int = 8  # robots; a larger team of N uses k1, k2, k3 and g times team / N, lead times N / team
+    k1: float = positive(0.5)  # removes the mean; a lambda2 above k1 / k2 is not found
+    k2: float = positive(0.08)  # Laplacian step
+    k3: float = positive(0.55)  # keeps the norm
+    g: float = positive(0.09)  # consensus: pull to the own input
+    kp: float = positive(1.0)  # proportional
+    ki: float = positive(0.8)  # integral
+    lead: float = non_negative(9.0)  # rounds by which the mean is looked ahead: its consensus lags by 1 / g
+    team: int = positive(8)  # robots; a larger team of N uses k1, k2, k3 and g times team / N, lead times N / team
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="k1 k2 k3 g kp ki team", at_least="lead")
+        check_numbers(self)
 
     def scaled(self, n_agents: int) -> PowerIteration:
         """The gains that a team of `n_agents` uses."""
@@ -137,29 +137,29 @@ class PowerIteration:
 class Flooding:
     """lambda2 and v2 from rows of A flooded through the team, each robot solving for itself (lambda2="flooding")."""
 
-    memory: float = 1.0  # s after which a robot whose row is not renewed counts as gone
+    memory: float = positive(1.0)  # s after which a robot whose row is not renewed counts as gone
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="memory")
+        check_numbers(self)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Noise:
     """Sensor noise (redrawn each tick) and bias (drawn once an episode), standard deviations; 0 in the paper."""
 
-    position_noise: float = 0.0  # m, camera
-    position_bias: float = 0.0  # m
-    velocity_noise: float = 0.0  # m/s, own velocity
-    velocity_bias: float = 0.0  # m/s
-    gyro_noise: float = 0.0  # rad/s, own yaw rate
-    gyro_bias: float = 0.0  # rad/s
-    attitude_noise: float = 0.0  # rad, own roll and pitch
-    attitude_bias: float = 0.0  # rad
-    range_noise: float = 0.0  # m, distance sensor
-    range_bias: float = 0.0  # m
+    position_noise: float = non_negative(0.0)  # m, camera
+    position_bias: float = non_negative(0.0)  # m
+    velocity_noise: float = non_negative(0.0)  # m/s, own velocity
+    velocity_bias: float = non_negative(0.0)  # m/s
+    gyro_noise: float = non_negative(0.0)  # rad/s, own yaw rate
+    gyro_bias: float = non_negative(0.0)  # rad/s
+    attitude_noise: float = non_negative(0.0)  # rad, own roll and pitch
+    attitude_bias: float = non_negative(0.0)  # rad
+    range_noise: float = non_negative(0.0)  # m, distance sensor
+    range_bias: float = non_negative(0.0)  # m
 
     def __post_init__(self) -> None:
-        check_numbers(self, at_least=" ".join(field.name for field in dataclasses.fields(self)))
+        check_numbers(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,13 +167,13 @@ class Start:
     """Where an episode begins: poses drawn in a box until the team is connected as asked."""
 
     box: tuple[float, float, float] = (9.0, 9.0, 3.0)  # m, for six robots; its area grows with their number
-    spacing: float = 1.5  # m, least distance of centres
-    clearance: float = 1.5  # m, least distance to an obstacle
-    lambda2_low: float = 0.15
-    lambda2_high: float = math.inf
+    spacing: float = positive(1.5)  # m, least distance of centres
+    clearance: float = non_negative(1.5)  # m, least distance to an obstacle
+    lambda2_low: float = non_negative(0.15)
+    lambda2_high: float = positive(math.inf, infinite=True)
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="spacing lambda2_high", at_least="clearance lambda2_low", infinite="lambda2_high")
+        check_numbers(self)
         box = as_numbers("Start.box", self.box)
         fine = box.shape == (3,) and np.isfinite(box).all() and (box > 0).all()
         rule(bool(fine), "Start.box", "three positive sides", self.box, "metres")
@@ -185,19 +185,19 @@ class Start:
 class Course:
     """The leader's way points, or the connectivity to reach where there is no leader."""
 
-    settle: float = 5.0  # s before the operator moves
-    legs: int = 3
-    leg: float = 8.0  # m
-    turn_low: float = math.radians(30)  # rad, between legs
+    settle: float = non_negative(5.0)  # s before the operator moves
+    legs: int = positive(3)
+    leg: float = positive(8.0)  # m
+    turn_low: float = non_negative(math.radians(30))  # rad, between legs
     turn_high: float = math.radians(90)
-    climb: float = 0.1  # rise of a leg as a share of its length, at most
-    pause: float = 3.0  # s at each way point but the last
-    goal_radius: float = 0.5  # m
-    goal_lambda2: float = 1.0  # without a leader: the lambda2 to reach
-    goal_hold: float = 5.0  # s, and to hold
+    climb: float = non_negative(0.1)  # rise of a leg as a share of its length, at most
+    pause: float = non_negative(3.0)  # s at each way point but the last
+    goal_radius: float = positive(0.5)  # m
+    goal_lambda2: float = positive(1.0)  # without a leader: the lambda2 to reach
+    goal_hold: float = non_negative(5.0)  # s, and to hold
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="legs leg goal_radius goal_lambda2", at_least="settle turn_low climb pause goal_hold")
+        check_numbers(self)
         rule(self.climb <= 1, "Course.climb", "at most 1", self.climb, "a share of a leg's length; 1 is straight up")
         hint = "turns are drawn between them (radians)"
         rule(self.turn_low <= self.turn_high, "Course.turn_low", "at most turn_high", self.turn_low, hint)
@@ -207,33 +207,31 @@ class Course:
 class Airframe:
     """Quadrotor: rigid body, rotors and flight controller (Lee, Leok, McClamroch, CDC 2010; docs/decisions.md)."""
 
-    mass: float = 1.28  # kg
-    inertia_xy: float = 0.0229  # kg m^2
-    inertia_z: float = 0.0221  # kg m^2
-    arm: float = 0.23  # m
-    thrust_gain: float = 6.5e-4  # N per squared rotor unit
-    drag_ratio: float = 0.0154  # m, reaction torque / thrust
-    rotor_min: float = 16.0  # rotor units; hover is about 69.5
-    rotor_max: float = 100.0
-    rotor_lag: float = 0.02  # s
-    substep: float = 0.0025  # s, at most
-    kp: float = 4.0  # 1/s^2
-    kv: float = 5.0  # 1/s
-    kq_tilt: float = 8.0  # N m / rad
-    kq_yaw: float = 0.3
-    kw_tilt: float = 0.8  # N m s / rad
-    kw_yaw: float = 0.2
-    max_accel: float = 2.5  # m/s^2, of the velocity reference
-    max_jerk: float = 10.0  # m/s^3
-    max_tilt: float = 0.5  # rad
-    rotor_noise: float = 0.0  # share of the rotor speed, each millisecond
-    force_noise: float = 0.0  # N, slow random force
-    force_time: float = 1.0  # s, its correlation time
+    mass: float = positive(1.28)  # kg
+    inertia_xy: float = positive(0.0229)  # kg m^2
+    inertia_z: float = positive(0.0221)  # kg m^2
+    arm: float = positive(0.23)  # m
+    thrust_gain: float = positive(6.5e-4)  # N per squared rotor unit
+    drag_ratio: float = positive(0.0154)  # m, reaction torque / thrust
+    rotor_min: float = positive(16.0)  # rotor units; hover is about 69.5
+    rotor_max: float = positive(100.0)
+    rotor_lag: float = positive(0.02)  # s
+    substep: float = positive(0.0025)  # s, at most
+    kp: float = positive(4.0)  # 1/s^2
+    kv: float = positive(5.0)  # 1/s
+    kq_tilt: float = positive(8.0)  # N m / rad
+    kq_yaw: float = positive(0.3)
+    kw_tilt: float = positive(0.8)  # N m s / rad
+    kw_yaw: float = positive(0.2)
+    max_accel: float = positive(2.5)  # m/s^2, of the velocity reference
+    max_jerk: float = positive(10.0)  # m/s^3
+    max_tilt: float = positive(0.5)  # rad
+    rotor_noise: float = non_negative(0.0)  # share of the rotor speed, each millisecond
+    force_noise: float = non_negative(0.0)  # N, slow random force
+    force_time: float = positive(1.0)  # s, its correlation time
 
     def __post_init__(self) -> None:
-        noise = {"rotor_noise", "force_noise"}
-        names = {field.name for field in dataclasses.fields(self)}
-        check_numbers(self, above=" ".join(names - noise), at_least=" ".join(noise))
+        check_numbers(self)
         hint = "rotors turn between them"
         rule(self.rotor_min < self.rotor_max, "Airframe.rotor_min", "below rotor_max", self.rotor_min, hint)
         hover = math.sqrt(9.81 * self.mass / (4 * self.thrust_gain))
@@ -250,19 +248,17 @@ class Airframe:
 class Reward:
     """Weights of the reward terms: the first four are rates (per second), the others are paid at the end."""
 
-    connectivity: float = 1.0  # lambda2 between its bounds, 0 to 1
-    progress: float = 1.0  # leader's velocity along the stick, as a share of the stick
-    proximity: float = 1.0  # penalty: (1 - distance / near)^2 of the nearest range point
-    effort: float = 0.02  # penalty: squared action
-    success: float = 50.0
-    collision: float = 50.0  # penalty
-    disconnected: float = 50.0  # penalty
-    near: float = 1.0  # m
+    connectivity: float = non_negative(1.0)  # lambda2 between its bounds, 0 to 1
+    progress: float = non_negative(1.0)  # leader's velocity along the stick, as a share of the stick
+    proximity: float = non_negative(1.0)  # penalty: (1 - distance / near)^2 of the nearest range point
+    effort: float = non_negative(0.02)  # penalty: squared action
+    success: float = non_negative(50.0)
+    collision: float = non_negative(50.0)  # penalty
+    disconnected: float = non_negative(50.0)  # penalty
+    near: float = positive(1.0)  # m
 
     def __post_init__(self) -> None:
-        check_numbers(
-            self, above="near", at_least="connectivity progress proximity effort success collision disconnected"
-        )
+        check_numbers(self)
 
 
 FAULTS = ("camera", "radio", "robot")  # the order is the number the kernels compare with
@@ -275,10 +271,10 @@ class Fault:
     kind: Literal["camera", "radio", "robot"] = "robot"
     robot: int | None = None  # counted from 0; None: a follower drawn for each episode, each fault another one
     at: float | tuple[float, float] = (10.0, 40.0)  # s after the clock starts; low and high: drawn for each episode
-    lasts: float = math.inf  # s, then it works again
+    lasts: float = positive(math.inf, infinite=True)  # s, then it works again
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="lasts", infinite="lasts")
+        check_numbers(self)
         rule(self.kind in FAULTS, "Fault.kind", "one of " + ", ".join(FAULTS), self.kind, "what dies")
         if self.robot is not None:
             whole = isinstance(self.robot, numbers.Integral) and not isinstance(self.robot, bool)

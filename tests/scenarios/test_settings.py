@@ -2,11 +2,13 @@
 
 import dataclasses
 import math
+import re
 
 import numpy as np
 import pytest
 
 from fovconn_env.baselines import Gains
+from fovconn_env.errors import SettingError, check_numbers, fraction, non_negative, positive
 from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios.presets import PRESETS, Scenario, scenario
@@ -133,6 +135,44 @@ def test_unknown_names_get_the_nearest_known_one(make, words):
         make()
     for word in words:
         assert word in str(error.value)
+
+
+def test_an_unknown_setting_is_an_unexpected_keyword():
+    """As for any function; and an error of settings."""
+    for name in ("n_agent", "camera.a_mim", "camra.a_min"):
+        with pytest.raises(TypeError, match=rf"\(\) got an unexpected keyword argument '{name.split('.')[-1]}|{name}'"):
+            scenario(**{name: 4})
+        with pytest.raises(SettingError, match="did you mean "):
+            scenario(**{name: 4})
+
+
+def test_rules_stand_on_the_fields():
+    """One that a subclass declares anew has a rule again."""
+
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class Group:
+        a: float = positive(1.0)
+        b: int = non_negative(0)
+        c: float = fraction(0.5)
+        d: float = positive(math.inf, infinite=True)
+        e: float = -1.0
+        f: bool = False
+
+        __post_init__ = check_numbers
+
+    Group(a=0.1, b=3, c=1.0, d=2.0, e=-5, f=True)
+    for changes, says in (
+        ({"a": 0.0}, "Group.a must be above 0, got 0.0"),
+        ({"a": math.inf}, "Group.a must be finite"),
+        ({"b": -1}, "Group.b must be at least 0"),
+        ({"b": 1.5}, "Group.b must be a whole number"),
+        ({"c": 1.1}, "Group.c must be in [0, 1]"),
+        ({"d": math.nan}, "Group.d must be finite"),
+        ({"e": None}, "Group.e must be a number"),
+        ({"f": 1}, "Group.f must be True or False"),
+    ):
+        with pytest.raises(SettingError, match=re.escape(says)):
+            Group(**changes)
 
 
 @pytest.mark.parametrize(

@@ -379,6 +379,12 @@ def test_ppo_of_sb3_goes_on_from_a_model(tmp_path):
 
 
 # ---------------------------------------------------------------------------------------------------- bad input
+@pytest.mark.parametrize("name", ["learning_rate", "gamma", "anchor", "anchored", "clip"])
+def test_what_residual_declares_anew_keeps_its_rule(name):
+    with pytest.raises(ValueError, match=rf"ResidualSettings\.{name} must be"):
+        ResidualSettings(**{name: -1.0})
+
+
 def test_a_resume_with_other_settings(tmp_path):
     train(team(), Budget(steps=72), tmp_path, scores=1, seeds=SEEDS)
     for other, message in (
@@ -470,7 +476,7 @@ WRONG = {
     "no length": ((), "--steps and --minutes must be given one of the two"),
     "two lengths": (("--steps", 5, "--minutes", 1), "--steps and --minutes must be given one of the two"),
     "scenario": (("--steps", 5, "--scenario", "LeaderFolow-v0"), "did you mean 'LeaderFollow-v0'"),
-    "setting": (("--steps", 5, "--set", "n_agent=3"), "Scenario has no setting 'n_agent'"),
+    "setting": (("--steps", 5, "--set", "n_agent=3"), "Scenario() got an unexpected keyword argument 'n_agent'"),
     "hyper-parameter": (("--steps", 5, "--tune", "gama=0.9"), "--tune must be NAME=VALUE of n_worlds"),
     "its value": (("--steps", 5, "--tune", "gamma=1.5"), "PPOSettings.gamma"),
     "network": (("--steps", 5, "--network", "gnn"), "--network must be one of set, mlp, got 'gnn'"),

@@ -13,7 +13,7 @@ import numpy as np
 
 from fovconn_env import Scenario
 from fovconn_env.baselines.learned.inputs import UNITS
-from fovconn_env.errors import check_numbers, rule
+from fovconn_env.errors import check_numbers, positive, rule
 from fovconn_env.training.learn.dagger import regress
 from fovconn_env.training.learn.datasets import Episodes
 from fovconn_env.training.learn.learning import Algorithm, Network, make_model
@@ -24,13 +24,13 @@ from fovconn_env.training.learn.rows import Rows
 class BCSettings:
     """Hyper-parameters: those of `dagger.DaggerSettings` as far as they go."""
 
-    n_updates: int = 150  # in an iteration
-    batch: int = 1024
-    learning_rate: float = 1e-3  # at the start; falls to 1 % along a cosine
-    knee: float = 0.02
+    n_updates: int = positive(150)  # in an iteration
+    batch: int = positive(1024)
+    learning_rate: float = positive(1e-3)  # at the start; falls to 1 % along a cosine
+    knee: float = positive(0.02)
 
     def __post_init__(self) -> None:
-        check_numbers(self, above="n_updates batch learning_rate knee")
+        check_numbers(self)
 
 
 class BC(Algorithm):

@@ -17,7 +17,7 @@ import torch
 from fovconn_env import Scenario
 from fovconn_env.baselines.learned.cards import BASES
 from fovconn_env.baselines.learned.inputs import ACTION
-from fovconn_env.errors import check_numbers, rule
+from fovconn_env.errors import check_numbers, fraction, positive, rule
 from fovconn_env.training.learn.learning import (
     Algorithm,
     Network,
@@ -34,19 +34,18 @@ class DaggerSettings:
     """Hyper-parameters; why these: docs/training.md."""
 
     expert: str = "expert"  # the law to imitate: expert, augmented or cohesive
-    n_worlds: int = 64
-    n_steps: int = 200  # flown in an iteration
-    every: int = 4  # of these steps, every such one is labelled: neighbouring ones are nearly the same
-    capacity: int = 500_000  # rows of the buffer; when it is full, new ones take the places of random old ones
-    n_updates: int = 150  # in an iteration
-    batch: int = 1024
-    learning_rate: float = 1e-3  # at the start; falls to 1 % along a cosine
-    knee: float = 0.02  # error from which the loss grows linearly: small errors matter where V' is steep
-    mixed: float = 0.15  # share of the training over which beta falls from 1 to 0
+    n_worlds: int = positive(64)
+    n_steps: int = positive(200)  # flown in an iteration
+    every: int = positive(4)  # of these steps, every such one is labelled: neighbouring ones are nearly the same
+    capacity: int = positive(500_000)  # rows of the buffer; when it is full, new ones replace random old ones
+    n_updates: int = positive(150)  # in an iteration
+    batch: int = positive(1024)
+    learning_rate: float = positive(1e-3)  # at the start; falls to 1 % along a cosine
+    knee: float = positive(0.02)  # error from which the loss grows linearly: small errors matter where V' is steep
+    mixed: float = fraction(0.15)  # share of the training over which beta falls from 1 to 0
 
     def __post_init__(self) -> None:
-        numbers = "n_worlds n_steps every capacity n_updates batch learning_rate knee"
-        check_numbers(self, above=numbers, share="mixed")
+        check_numbers(self)
         rule(self.expert in BASES, "DaggerSettings.expert", f"one of {', '.join(BASES)}", self.expert, "no memory")
 
 

@@ -19,7 +19,7 @@ from torch import nn
 
 from fovconn_env import Scenario
 from fovconn_env.baselines.learned.policy import load
-from fovconn_env.errors import check_numbers
+from fovconn_env.errors import check_numbers, fraction, non_negative, positive
 from fovconn_env.training.learn.learning import (
     Algorithm,
     Network,
@@ -35,25 +35,24 @@ from fovconn_env.training.learn.rows import Rows
 class PPOSettings:
     """Hyper-parameters; why these: docs/training.md."""
 
-    n_worlds: int = 64
-    n_steps: int = 128  # flown in an iteration
-    n_epochs: int = 4
-    batch: int = 4096
-    learning_rate: float = 5e-4  # at the start; falls to 0 linearly
-    gamma: float = 0.99  # a step is 0.05 s: looks 5 s ahead
-    lam: float = 0.95  # of generalised advantage estimation
-    clip: float = 0.2
-    value: float = 0.5  # weight of the critic's loss
-    entropy: float = 0.0
-    max_norm: float = 0.5  # of a gradient
-    reward: float = 0.1  # rewards are multiplied by it: an end weighs 50, a step 0.05
-    anchor: float = 0.1  # with a start: weight of the divergence from it, falls to 0 linearly ...
-    anchored: float = 0.5  # ... over this share of the training
-    critic_first: float = 0.05  # with a start: share of the training in which the critic learns alone
+    n_worlds: int = positive(64)
+    n_steps: int = positive(128)  # flown in an iteration
+    n_epochs: int = positive(4)
+    batch: int = positive(4096)
+    learning_rate: float = positive(5e-4)  # at the start; falls to 0 linearly
+    gamma: float = fraction(0.99)  # a step is 0.05 s: looks 5 s ahead
+    lam: float = fraction(0.95)  # of generalised advantage estimation
+    clip: float = positive(0.2)
+    value: float = non_negative(0.5)  # weight of the critic's loss
+    entropy: float = non_negative(0.0)
+    max_norm: float = positive(0.5)  # of a gradient
+    reward: float = positive(0.1)  # rewards are multiplied by it: an end weighs 50, a step 0.05
+    anchor: float = non_negative(0.1)  # with a start: weight of the divergence from it, falls to 0 linearly ...
+    anchored: float = fraction(0.5)  # ... over this share of the training
+    critic_first: float = fraction(0.05)  # with a start: share of the training in which the critic learns alone
 
     def __post_init__(self) -> None:
-        numbers = "n_worlds n_steps n_epochs batch learning_rate clip max_norm reward"
-        check_numbers(self, above=numbers, at_least="value entropy anchor", share="gamma lam anchored critic_first")
+        check_numbers(self)
 
 
 class Team(Algorithm):

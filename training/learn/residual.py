@@ -16,7 +16,7 @@ import torch
 
 from fovconn_env import Scenario
 from fovconn_env.baselines.learned.cards import BASES
-from fovconn_env.errors import check_numbers, rule
+from fovconn_env.errors import fraction, non_negative, positive, rule
 from fovconn_env.training.learn.learning import Network
 from fovconn_env.training.learn.ppo import PPOSettings, Team
 
@@ -26,15 +26,14 @@ class ResidualSettings(PPOSettings):
     """PPO's, law and bound."""
 
     base: str = "cohesive"
-    bound: float = 0.3  # of 2.5 m/s and 1 rad/s
-    learning_rate: float = 1e-3  # at the start; falls to 0 linearly
-    gamma: float = 0.995  # a step is 0.05 s: looks 10 s ahead
-    anchor: float = 0.03  # weight of the divergence from the law, falls to 0 linearly ...
-    anchored: float = 1.0  # ... over this share of the training
+    bound: float = fraction(0.3)  # of 2.5 m/s and 1 rad/s
+    learning_rate: float = positive(1e-3)  # at the start; falls to 0 linearly
+    gamma: float = fraction(0.995)  # a step is 0.05 s: looks 10 s ahead
+    anchor: float = non_negative(0.03)  # weight of the divergence from the law, falls to 0 linearly ...
+    anchored: float = fraction(1.0)  # ... over this share of the training
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_numbers(self, share="bound")
         rule(self.base in BASES, "ResidualSettings.base", f"one of {', '.join(BASES)}", self.base, "without memory")
 
 
