@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from fovconn_env.flights.recording import Recorder, Recording, outcome, play_back
+from fovconn_env.flights.recording import Recording, outcome, play_back
+from fovconn_env.flights.rollout import Observer, steps
 from fovconn_env.scenarios.presets import Scenario
 from fovconn_env.sim.simulator import Simulator
 
@@ -16,7 +17,7 @@ class Flight(NamedTuple):
     """T instants (0 is the start) of N robots; world frame, SI units, radians."""
 
     scenario: Scenario
-    seed: int
+    seed: int | None  # None where the start was not drawn from one
     time: np.ndarray  # (T,)
     poses: np.ndarray  # (T, N, 4) x, y, z, yaw
     tilt: np.ndarray  # (T, N, 2) roll, pitch
@@ -41,68 +42,88 @@ class Flight(NamedTuple):
         return (self.weights > 0).sum((1, 2)) // 2
 
 
+class Film(Observer):
+    """Puts the flight of one world of a batch on record; `flight` may be asked for at any step."""
+
+    def __init__(self, world: int = 0) -> None:
+        self.world = world
+
+    def begin(self, simulator: Simulator) -> None:
+        """The first instant."""
+        self.simulator = simulator
+        self._frames = [tuple(_frame(simulator, self.world))]
+        self._sticks: list[tuple[float, ...]] = []  # leader's yaw frame, a step each
+        self._leaders: list[int] = []
+
+    def before_step(self, actions: np.ndarray) -> None:
+        """Who leads in the step, and by what stick."""
+        episode = self.simulator.state.episode[self.world]
+        self._lead = int(episode["leader"]), tuple(float(episode[name]) for name in ("stick_x", "stick_y", "stick_z"))
+        self._going = not episode["over"]
+
+    def update(self) -> None:
+        """One more instant, unless the episode is over."""
+        if self._going:
+            leader, stick = self._lead
+            self._leaders.append(leader)
+            self._sticks.append(stick)
+            self._frames.append(tuple(_frame(self.simulator, self.world)))
+
+    def flight(self) -> Flight:
+        """The flight so far."""
+        simulator, w = self.simulator, self.world
+        scenario, world = simulator.scenario, simulator.world
+        poses, tilt, *others = (np.array(column) for column in zip(*self._frames, strict=True))
+        leaders = np.array([*self._leaders, simulator.state.episode["leader"][w]])
+        pieces = world.piece[w][world.piece[w]["count"] > 0]
+        n_vertices = (pieces["first"] + pieces["count"]).max(initial=0)
+        return Flight(
+            scenario,
+            simulator.seeds[w],
+            np.arange(len(poses)) * scenario.step_time,
+            poses,
+            tilt,
+            _world_sticks(np.array(self._sticks).reshape(-1, 3), leaders[:-1], poses),
+            *others,
+            waypoints=world.waypoint[w, : world.n_waypoints[w]].copy(),
+            pieces=pieces,
+            vertices=world.vertex[w, :n_vertices].copy(),
+            outcome=outcome(simulator, w),
+            leader=leaders,
+        )
+
+
 def fly(
-    where: Scenario | Recorder,
+    scenario: Scenario,
     act: Callable[[np.ndarray], np.ndarray],
     seed: int,
     *,
-    watch: Callable[[int], None] | None = None,
+    starts: Scenario | None = None,
+    observers: Sequence[Observer] = (),
 ) -> Flight:
     """Fly one episode with `act` (flat observations (1, N, D) to actions (1, N, 4)) and put it on record.
 
-    A recorder has the recording afterwards. `watch` is called with the number of steps flown, for a progress bar.
+    starts: draw the start by this scenario's rules instead, as `Simulator`; `rollout` sees to it where it has a policy.
     """
-    recorder = where if isinstance(where, Recorder) else Recorder(Simulator(where))
-
-    def episode() -> Iterator[Simulator]:
-        observations = recorder.reset(seed)
-        yield recorder.simulator
-        while not recorder.simulator.over[0]:
-            observations = recorder.step(act(observations))
-            yield recorder.simulator
-
-    return _film(episode(), recorder.recording, watch)
+    simulator, film = Simulator(scenario, starts=starts), Film()
+    simulator.reset(seed)
+    for _ in steps(simulator, act, [film, *observers]):
+        pass
+    return film.flight()
 
 
-def from_recording(recording: Recording, *, force: bool = False, watch: Callable[[int], None] | None = None) -> Flight:
-    """Compute a recorded flight again; raises and takes `force` as `recording.play_back`, and `watch` as `fly`."""
-    return _film(play_back(recording, force=force), lambda: recording, watch)
+def from_recording(recording: Recording, *, force: bool = False) -> Flight:
+    """Compute a recorded flight again; raises and takes `force` as `recording.play_back`."""
+    film = Film()
+    for _ in play_back(recording, force=force, observers=[film]):
+        pass
+    return film.flight()
 
 
-def _film(
-    simulators: Iterator[Simulator], recording: Callable[[], Recording], watch: Callable[[int], None] | None
-) -> Flight:
-    """The flight of a simulator that is handed out after its reset and after every step."""
-    frames, simulator = [], None
-    for simulator in simulators:
-        frames.append(tuple(_frame(simulator)))
-        if watch is not None and len(frames) > 1:
-            watch(len(frames) - 1)
-    assert simulator is not None
-    poses, tilt, *others = (np.array(column) for column in zip(*frames, strict=True))
-    flown, world = recording(), simulator.world
-    n_pieces = int((world.piece[0]["count"] > 0).sum())
-    return Flight(
-        flown.scenario,
-        flown.seed,
-        np.arange(len(frames)) * flown.scenario.step_time,
-        poses,
-        tilt,
-        _world_sticks(flown, poses),
-        *others,
-        waypoints=world.waypoint[0, : world.n_waypoints[0]].copy(),
-        pieces=world.piece[0, :n_pieces].copy(),
-        vertices=world.vertex[0].copy(),
-        outcome=outcome(simulator),
-        leader=np.append(flown.leaders, simulator.state.episode["leader"][0]),
-    )
-
-
-def _world_sticks(recording: Recording, poses: np.ndarray) -> np.ndarray:
-    """Flight.stick of poses (T, N, 4): each stick turned by the heading that its leader had when the step began."""
-    steps = np.arange(len(recording.sticks))
-    yaw = poses[steps, recording.leaders, 3]
-    x, y, z = recording.sticks.T
+def _world_sticks(sticks: np.ndarray, leaders: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Flight.stick: sticks (T - 1, 3) turned by the headings in poses (T, N, 4) that leaders (T - 1,) began with."""
+    yaw = poses[np.arange(len(sticks)), leaders, 3]
+    x, y, z = sticks.T
     c, s = np.cos(yaw), np.sin(yaw)
     return np.vstack([np.zeros((1, 3)), np.stack([c * x - s * y, s * x + c * y, z], axis=-1)])
 
@@ -116,14 +137,14 @@ def world_stick(simulator: Simulator) -> np.ndarray:
     return np.array([c * x - s * y, s * x + c * y, z])
 
 
-def _frame(simulator: Simulator) -> Iterator[np.ndarray]:
-    """The columns of one instant, in the order of Flight's fields from `poses` on, without the stick."""
+def _frame(simulator: Simulator, world: int) -> Iterator[np.ndarray]:
+    """The columns of one instant of a world, in the order of Flight's fields from `poses` on, without the stick."""
     state = simulator.state
-    body, pair, track = state.body[0], state.pair[0], state.track[0]
-    yield simulator.poses()[0]
+    body, pair, track = state.body[world], state.pair[world], state.track[world]
+    yield simulator.poses()[world]
     yield np.stack([body["roll"], body["pitch"]], axis=-1)
-    yield state.episode["lambda2"][0]
-    yield state.belief["lambda2_hat"][0].copy()
+    yield state.episode["lambda2"][world]
+    yield state.belief["lambda2_hat"][world].copy()
     yield pair["weight"].copy()
     yield pair["watch"].copy()
     yield true_yaw(body["yaw"])

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from fovconn_env.flights.rollout import Observer
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.maths.weights import range_weight
 from fovconn_env.kernel.onboard.power_iteration import FLOODING
@@ -43,10 +44,18 @@ _METER = np.dtype(
 )
 
 
-class Meter:
-    """Follows a simulator from a reset to the end of its episodes; call `update` after every step."""
+class Meter(Observer):
+    """Measures all worlds from a reset to the end of their episodes.
 
-    def __init__(self, simulator: Simulator) -> None:
+    It observes a rollout; or, made with a simulator that has been reset, is called `update` after every step.
+    """
+
+    def __init__(self, simulator: Simulator | None = None) -> None:
+        if simulator is not None:
+            self.begin(simulator)
+
+    def begin(self, simulator: Simulator) -> None:
+        """Start measuring; the worlds have been reset."""
         self.simulator = simulator
         b = simulator.n_worlds
         self._sums = np.zeros(b, _METER)

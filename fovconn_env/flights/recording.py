@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from fovconn_env.errors import rule
 from fovconn_env.files import RECORDING, Archive, Damaged, read_archive, write_archive
+from fovconn_env.flights.rollout import Observer, steps
 from fovconn_env.kernel.jit import source_hash
 from fovconn_env.scenarios.presets import Scenario
 from fovconn_env.scenarios.serialize import scenario_from_json, scenario_to_json
@@ -103,91 +104,116 @@ def load(path: str | Path) -> Recording:
     return found
 
 
-class Recorder:
-    """Resets and steps a simulator of one world in the simulator's place, and keeps what its flight is made of.
+class Recorder(Observer):
+    """Keeps what the flight of one world is made of.
 
-    Pushes and changes of leader go to the simulator itself; each step takes note of them.
+    It observes a rollout; or, made with a simulator, resets and steps that in its place. Pushes and changes of leader
+    go to the simulator itself; each step takes note of them.
     """
 
-    def __init__(self, simulator: Simulator, policies: Sequence[str] = ()) -> None:
-        """policies: what flies each robot, in free words; one for all robots or one each."""
-        rule(simulator.n_worlds == 1, "n_worlds", "1 for a recording", simulator.n_worlds, "record one world of many")
-        n = simulator.scenario.n_agents
-        rule(len(policies) in (0, 1, n), "policies", f"one for all or {n}", list(policies), "one a robot")
-        self.simulator = simulator
-        self.policies = tuple(policies) * (n if len(policies) == 1 else 1)
-        self._begin: dict[str, Any] | None = None  # scenario, seed and poses of the episode under way
+    def __init__(self, simulator: Simulator | None = None, policies: Sequence[str] = (), *, world: int = 0) -> None:
+        """policies: what flies each robot, in free words; one for all robots or one each. world: which of a batch."""
+        self.policies, self.world = tuple(policies), world
+        self._origin: dict[str, Any] | None = None  # scenario, seed and poses of the episode under way
+        if simulator is not None:
+            self._attach(simulator)
 
     def reset(self, seed: int, *, poses: npt.ArrayLike | None = None) -> np.ndarray:
-        """Start an episode and its recording; as `Simulator.reset`."""
-        simulator = self.simulator
+        """Start episodes and their recording; as `Simulator.reset`."""
         given = None if poses is None else np.array(poses, np.float64)
-        observations = simulator.reset(seed, poses=given)
-        changes = {"max_cycles": simulator.max_cycles, "leader": simulator.leader}  # which may be set at run time
-        scenario = dataclasses.replace(simulator.scenario, **changes)
-        self._begin = {"scenario": scenario, "starts": simulator.starts, "seed": int(seed), "poses": given}
-        self._sticks: list[tuple[float, float, float]] = []
-        self._actions: list[np.ndarray] = []
-        self._events: list[Event] = []
-        self._led = self._leader()
-        self._hashes, self._last = [], (0, state_hash(simulator))
+        observations = self.simulator.reset(seed, poses=given)
+        self.begin(self.simulator, given)
         return observations
 
     def step(self, actions: npt.ArrayLike) -> np.ndarray:
-        """Step by actions (1, N, 4) and keep them; as `Simulator.step`. After the end nothing is added."""
-        simulator, episode = self.simulator, self.simulator.state.episode[0]
-        if self._begin is None or simulator.over[0]:
-            return simulator.step(np.asarray(actions))
-        stick = float(episode["stick_x"]), float(episode["stick_y"]), float(episode["stick_z"])
-        observations = simulator.step(np.asarray(actions))  # refuses what is no action before anything is kept
+        """Step by actions (B, N, 4) and keep them; as `Simulator.step`. After the end nothing is added."""
+        given = np.asarray(actions)
+        self.before_step(given)
+        observations = self.simulator.step(given)  # refuses what is no action before anything is kept
+        self.update()
+        return observations
+
+    def begin(self, simulator: Simulator, poses: np.ndarray | None = None) -> None:
+        """The worlds have been reset, to these poses (N, 4) if some were given. `ValueError` if without a seed."""
+        self._attach(simulator)
+        seed = simulator.seeds[self.world]
+        rule(seed is not None, "seed", "given to a flight that is recorded", seed, "it is drawn again from its seed")
+        changes = {"max_cycles": simulator.max_cycles, "leader": simulator.leader}  # which may be set at run time
+        scenario = dataclasses.replace(simulator.scenario, **changes)
+        self._origin = {"scenario": scenario, "starts": simulator.starts, "seed": seed, "poses": poses}
+        self._sticks: list[tuple[float, ...]] = []
+        self._actions: list[np.ndarray] = []
+        self._events: list[Event] = []
+        self._led = self._leader()
+        self._hashes, self._last = [], (0, state_hash(simulator, self.world))
+
+    def before_step(self, actions: np.ndarray) -> None:
+        """Look at the stick; it is kept once the step is made."""
+        episode = self.simulator.state.episode[self.world]
+        self._stick = tuple(float(episode[name]) for name in ("stick_x", "stick_y", "stick_z"))
+        self._action, self._going = actions, not episode["over"]
+
+    def update(self) -> None:
+        """Keep the step just made."""
+        if self._origin is None or not self._going:
+            return
         if self._led != self._leader():
             self._led = self._leader()
             self._events.append(Event(len(self._actions), *self._led))
-        self._sticks.append(stick)
-        self._actions.append(np.array(actions, np.float64)[0])
+        self._sticks.append(self._stick)
+        self._actions.append(np.array(self._action[self.world], np.float64))
         if self._last[0] % EVERY == 0:
             self._hashes.append(self._last)
-        self._last = len(self._actions), state_hash(simulator)  # now: a push after it may never be flown
-        return observations
+        # now: a push after it may never be flown
+        self._last = len(self._actions), state_hash(self.simulator, self.world)
 
     def recording(self) -> Recording:
         """The episode so far. Raises `ValueError` before a reset."""
-        if self._begin is None:
+        if self._origin is None:
             raise ValueError("recording() needs an episode: call reset(seed) first")
         return Recording(
-            **self._begin,
+            **self._origin,
             sticks=np.array(self._sticks, np.float64).reshape(-1, 3),
             actions=np.array(self._actions, np.float64).reshape(-1, self.simulator.scenario.n_agents, 4),
             events=tuple(self._events),
             policies=self.policies,
             versions=versions(),
-            outcome=outcome(self.simulator),
+            outcome=outcome(self.simulator, self.world),
             hashes=(*self._hashes, self._last),
         )
 
+    def _attach(self, simulator: Simulator) -> None:
+        n, count = simulator.scenario.n_agents, len(self.policies)
+        rule(count in (0, 1, n), "policies", f"one for all or {n}", list(self.policies), "one a robot")
+        inside = 0 <= self.world < simulator.n_worlds
+        rule(inside, "world", f"in 0..{simulator.n_worlds - 1}", self.world, "worlds are counted from 0")
+        self.simulator, self.policies = simulator, self.policies * (n if count == 1 else 1)
+
     def _leader(self) -> tuple[int, str]:
         kind = self.simulator.leader
-        return int(self.simulator.state.episode["leader"][0]), kind if isinstance(kind, str) else "recorded"
+        return int(self.simulator.state.episode["leader"][self.world]), kind if isinstance(kind, str) else "recorded"
 
 
-def play_back(recording: Recording, *, force: bool = False) -> Iterator[Simulator]:
-    """Compute a flight again: yields the simulator after the reset and after every step.
+def play_back(recording: Recording, *, force: bool = False, observers: Sequence[Observer] = ()) -> Iterator[Simulator]:
+    """Compute a flight again: a rollout whose policy and operator are the recording.
 
-    Raises `OtherVersion` or `Diverged` as soon as a hash is not the recorded one; with `force` it goes on, and whoever
-    asks compares `state_hash` with the recording's last one.
+    Yields the simulator after the reset and after every step. Raises `OtherVersion` or `Diverged` as soon as a hash is
+    not the recorded one; with `force` it goes on, and whoever asks compares `state_hash` with the recording's last one.
     """
     simulator = Simulator(recording.scenario, starts=recording.starts)
     simulator.reset(recording.seed, poses=recording.poses)
-    hashes, since = dict(recording.hashes), 0
-    for t in range(len(recording.actions) + 1):
+    actions, hashes, since = iter(recording.actions[:, None]), dict(recording.hashes), 0
+    for t, _ in enumerate(steps(simulator, lambda _: next(actions), observers)):
         if t in hashes:
             if not force and state_hash(simulator) != hashes[t]:
                 raise _mismatch(recording, since, t)
             since = t
         yield simulator
-        if t < len(recording.actions):
-            _operate(simulator, recording, t)
-            simulator.step(recording.actions[t][None])
+        if t == len(recording.actions):
+            return
+        _operate(simulator, recording, t)
+    if not force:  # the episode ended before the recorded one did
+        raise _mismatch(recording, since, len(recording.actions))
 
 
 def replay(recording: Recording, *, force: bool = False) -> Simulator:
@@ -207,18 +233,18 @@ def _operate(simulator: Simulator, recording: Recording, t: int) -> None:
         simulator.push(recording.sticks[t])
 
 
-def outcome(simulator: Simulator) -> str:
-    """How the first world's episode ended, one of OUTCOMES."""
-    episode = simulator.state.episode[0]
+def outcome(simulator: Simulator, world: int = 0) -> str:
+    """How a world's episode ended, one of OUTCOMES."""
+    episode = simulator.state.episode[world]
     ends = {"success": "success", "collision": "collision", "disconnected": "disconnected", "truncated": "time"}
     return next((word for name, word in ends.items() if episode[name]), "unfinished")
 
 
-def state_hash(simulator: Simulator) -> str:
-    """Hash of all bytes of the first world's state. What lies between the fields of a record is 0."""
+def state_hash(simulator: Simulator, world: int = 0) -> str:
+    """Hash of all bytes of a world's state. What lies between the fields of a record is 0."""
     digest = hashlib.sha256()
     for array in simulator.state[:-3]:  # the last three are views
-        digest.update(array[:1].reshape(-1).view(np.uint8).data)
+        digest.update(array[world : world + 1].reshape(-1).view(np.uint8).data)
     return digest.hexdigest()
 
 

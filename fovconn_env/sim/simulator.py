@@ -71,6 +71,7 @@ class Simulator:
         self.state.episode["over"] = True  # until the first reset
         self._scout = Scout(rules)
         self._rngs: list[np.random.Generator | None] = [None] * n_worlds  # each from its world's first reset on
+        self.seeds: list[int | None] = [None] * n_worlds  # of the episodes; None where a generator went on
         self._n_threads = min(n_threads or _cores(), max(n_worlds // WORLDS_PER_SLICE, 1))
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
         warm = scenario.warmup if scenario.lambda2 in ("power", "flooding") else 0.0
@@ -183,7 +184,7 @@ class Simulator:
             drawn[b] = rng, start._replace(faults=draw_faults(self.scenario, rng)), key
         self._make_room(drawn)
         for b, (rng, start, key) in drawn.items():
-            self._rngs[b] = rng
+            self._rngs[b], self.seeds[b] = rng, None if seeds is None else seeds[b]
             self._place(b, start, key)
         self._run(step.BEGIN, NO_ACTIONS, chosen)
         return self.observations

@@ -11,9 +11,14 @@ from fovconn_env.training.evaluation.campaign import Cell, fly_cells
 
 
 def fly_all(
-    cells: list[Cell], seeds: list[int], folder: Path, processes: int | None, fresh: bool
+    cells: list[Cell],
+    seeds: list[int],
+    folder: Path,
+    processes: int | None,
+    fresh: bool,
+    recordings: Path | None = None,
 ) -> tuple[list[Evaluation], float]:
-    """Evaluations of the cells, and the seconds they took, with a progress bar."""
+    """Evaluations of the cells, and the seconds they took, with a progress bar; `recordings` as `fly_cells`."""
     folder.mkdir(parents=True, exist_ok=True)
     began, total = time.perf_counter(), len(cells) * len(seeds)
     with progress() as bar:
@@ -24,6 +29,7 @@ def fly_all(
             seeds,
             folder=folder / "episodes",
             fresh=fresh,
+            recordings=recordings,
             processes=processes,
             progress=lambda done: bar.update(task, completed=done),
         )

@@ -40,9 +40,8 @@ def command(
     folder.mkdir(parents=True, exist_ok=True)
     with progress() as bar:
         warm_up(bar, chosen, policy)
-        task = bar.add_task("flying", total=chosen.max_cycles)
-        flight, result, recording = fly_once(policy, chosen, seed, lambda step: bar.update(task, completed=step))
-        bar.update(task, total=len(flight.time) - 1, completed=len(flight.time) - 1)
+        task = bar.add_task("flying", total=1.0)
+        flight, result, recording = fly_once(policy, chosen, seed, lambda done: bar.update(task, completed=done))
         pictures = draw(flight, folder, animation=animation, bar=bar)
     if recording_file is not None:
         recording.save(recording_file)

@@ -21,10 +21,9 @@ from fovconn_env.training.commands.options import (
     check_writable,
     parse,
 )
-from fovconn_env.training.commands.screen import err, grid, measures, out, progress, say_written, width
+from fovconn_env.training.commands.screen import err, grid, measures, out, say_written, width
 from fovconn_env.training.evaluation.campaign import DEV_SEEDS, Cell, parse_seeds, suite
 from fovconn_env.training.evaluation.comparison import Comparison, overall_table, scenario_table
-from fovconn_env.training.evaluation.recordings import record_flights
 from fovconn_env.training.evaluation.results import publish, short, write_json
 
 
@@ -49,7 +48,7 @@ def command(
     json_file: JsonFile = None,
     recordings: Annotated[
         Path | None,
-        typer.Option("--record", metavar="FOLDER", help="Fly each flight once more, alone, and record it here."),
+        typer.Option("--record", metavar="FOLDER", help="Record each flight here; none is taken from --out."),
     ] = None,
     settings: Settings = None,
 ) -> None:
@@ -68,17 +67,15 @@ def command(
     check_folder(folder)
     check_folder(recordings, "--record")
     check_writable({"--json": json_file})
-    results, seconds = fly_all(cells, numbers, folder, processes, fresh)
+    results, seconds = fly_all(cells, numbers, folder, processes, fresh, recordings)
     with err.status("writing the report"):
         found = publish(results, chosen, folder, seconds)
     _show(found.comparison)
     written = found.files + ([write_json(json_file, short(found.record))] if json_file is not None else [])
     say_written([file for file in written if file.suffix != ".png"])
     if recordings is not None:
-        with progress() as bar:
-            task = bar.add_task("recording", total=len(cells) * len(numbers))
-            files = record_flights(cells, numbers, recordings, lambda done: bar.update(task, completed=done))
-        out.print(f"recorded {len(files)} flights in {recordings}", highlight=False, soft_wrap=True)
+        count = len(cells) * len(numbers)
+        out.print(f"recorded {count} flights in {recordings}", highlight=False, soft_wrap=True)
     if not any(file.suffix == ".html" for file in written):
         out.print('no report: it needs matplotlib, pip install "fovconn-env[demo]"', style="yellow", markup=False)
 

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from fovconn_env.flights.flight import from_recording
+from fovconn_env.flights.flight import Film
+from fovconn_env.flights.recording import play_back
 from fovconn_env.training.commands.campaigns import fly_all
 from fovconn_env.training.commands.options import (
     OUT,
@@ -71,9 +72,10 @@ def _draw_flight(file: Path, folder: Path, force: bool) -> None:
     recording = read_recording(file)
     folder.mkdir(parents=True, exist_ok=True)
     with progress() as bar:
-        task = bar.add_task("flying", total=len(recording.actions))
-        flight = from_recording(recording, force=force, watch=lambda step: bar.update(task, completed=step))
-        pictures = draw(flight, folder, animation=False, bar=bar)
+        task, film = bar.add_task("flying", total=len(recording.actions)), Film()
+        for step, _ in enumerate(play_back(recording, force=force, observers=[film])):
+            bar.update(task, completed=step)
+        pictures = draw(film.flight(), folder, animation=False, bar=bar)
     say_written(pictures)
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from fovconn_env.flights.flight import from_recording
+from fovconn_env.flights.flight import Film
 from fovconn_env.training.commands.options import Force, check_writable, read_recording
 from fovconn_env.training.commands.screen import measures, out, progress, say_written
 from fovconn_env.training.evaluation.export import WRITERS, check_out, write_flight
@@ -29,11 +29,13 @@ def command(
     steps = len(recording.actions)
     with progress() as bar:
         task = bar.add_task("flying", total=steps)
-        result, same = measure(recording, force=force, watch=lambda step: bar.update(task, completed=step))
+        film = Film()
+        result, same = measure(
+            recording, force=force, watch=lambda step: bar.update(task, completed=step), observers=[film]
+        )
         if path is not None:
             task = bar.add_task(f"writing {path.suffix}", total=None)
-            flight = from_recording(recording, force=force)
-            write_flight(flight, path, lambda done, total: bar.update(task, completed=done, total=total))
+            write_flight(film.flight(), path, lambda done, total: bar.update(task, completed=done, total=total))
             bar.update(task, total=1, completed=1)
     out.print(measures(result))
     version = recording.versions.get("fovconn_env", "?")

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import fovconn_env
-from fovconn_env import PRESETS, Scenario, baselines
+from fovconn_env import PRESETS, Recorder, Scenario, baselines
 from fovconn_env.baselines import POLICIES, find_policy
 from fovconn_env.files import Archive, Kind, read_archive, write_archive
 from fovconn_env.training.evaluation.flights import Evaluation, fly, join, label
@@ -71,37 +71,41 @@ def fly_cells(
     *,
     folder: Path | None = None,
     fresh: bool = False,
+    recordings: Path | None = None,
     processes: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> list[Evaluation]:
     """Fly every cell from every seed; results in the order of `cells`, whatever the number of processes.
 
-    Episodes are kept in `folder` as they finish, and those found there are not flown again, unless `fresh`. `progress`
-    is told the number of episodes done, those found among them. Raises `ValueError` for two policies of one label or a
-    policy that fails, `Interrupted` after Ctrl-C; both leave what was finished in the folder.
+    Episodes are kept in `folder` as they finish, and those found there are not flown again, unless `fresh`. With a
+    folder for `recordings` all are flown, and each is recorded there as POLICY@SCENARIO-SEED.npz. `progress` is told
+    the number of episodes done, those found among them. Raises `ValueError` for two policies of one label or a policy
+    that fails, `Interrupted` after Ctrl-C; both leave what was finished in the folders.
     """
     _check_labels(cells)
     shelf = Shelf(folder)
     done = [None if fresh else shelf.load(cell) for cell in cells]
-    orders = _orders(cells, seeds, done)
+    orders = _orders(cells, seeds, done if recordings is None else [None] * len(done))
     found = len(seeds) * len(cells) - sum(len(block) for _, block in orders)
 
     def keep(k: int, part: Evaluation) -> None:
         if not part.seeds:
             return
         kept = done[k]
-        found = part if kept is None else join([kept, part])
+        others = sorted(set(kept.seeds) - set(part.seeds)) if kept is not None else []
+        found = join([_in_order(kept, others), part]) if kept is not None else part
         done[k] = _in_order(found, sorted(found.seeds))  # blocks finish in any order
         shelf.save(cells[k], done[k])
 
     try:
         if orders:
-            _fly_orders(
-                cells, orders, processes or os.cpu_count() or 1, keep, lambda n: progress and progress(found + n)
-            )
+            fly_block = functools.partial(_fly_block, recordings)
+            count = processes or os.cpu_count() or 1
+            _fly_orders(cells, orders, count, fly_block, keep, lambda n: progress and progress(found + n))
     except Interrupted:
         kept = sum(len(set(seeds) & set(part.seeds)) for part in done if part is not None)
-        where = f"are kept in {folder}, the same command goes on from there" if folder else "were finished"
+        where = f"are kept in {folder}" if folder else "were finished"
+        where += ", the same command goes on from there" if folder and recordings is None else ""
         raise Interrupted(f"interrupted: {kept} of {len(seeds) * len(cells)} episodes {where}") from None
     return [_in_order(part, seeds) for part in done if part is not None]
 
@@ -124,6 +128,7 @@ def _fly_orders(
     cells: Sequence[Cell],
     orders: list[tuple[int, list]],
     processes: int,
+    fly_block: Callable[[int, Cell, list[int]], Evaluation],
     keep: Callable[[int, Evaluation], None],
     progress: Callable[[float], None],
 ) -> None:
@@ -135,7 +140,7 @@ def _fly_orders(
     problem: BaseException | None = None
     with pool, noted_interruption() as interrupted:
         for slot, (k, block) in enumerate(orders):
-            waiting[pool.submit(_fly_block, slot, cells[k], block)] = k
+            waiting[pool.submit(fly_block, slot, cells[k], block)] = k
         while waiting:
             finished, _ = wait(waiting, _POLL, FIRST_COMPLETED)
             progress(sum(counts))
@@ -180,12 +185,20 @@ def _enlist(stop: Any, counts: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the parent, which says when to stop
 
 
-def _fly_block(slot: int, cell: Cell, seeds: list[int]) -> Evaluation:
+def _fly_block(recordings: Path | None, slot: int, cell: Cell, seeds: list[int]) -> Evaluation:
     def watch(done: float) -> bool:
         _counts[slot] = done
         return not _stop.value
 
-    return fly(cell.policy, cell.scenario, seeds, watch=watch, n_threads=1)
+    name, worlds = label(cell.policy), range(len(seeds) if recordings is not None else 0)
+    recorders = [Recorder(policies=[name], world=b) for b in worlds]
+    part = fly(cell.policy, cell.scenario, seeds, watch=watch, n_threads=1, observers=recorders)
+    if recordings is not None:
+        recordings.mkdir(parents=True, exist_ok=True)
+        for recorder, seed in zip(recorders, seeds, strict=True):
+            if seed in part.seeds:
+                recorder.recording().save(recordings / f"{name}@{cell.scenario.name}-{seed}.npz")
+    return part
 
 
 def _check_labels(cells: Sequence[Cell]) -> None:

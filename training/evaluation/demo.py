@@ -9,22 +9,20 @@ from pathlib import Path
 import numpy as np
 from rich.progress import Progress
 
-from fovconn_env import Flight, Recorder, Recording, Scenario, Simulator
-from fovconn_env.baselines import Gains, find_policy, load_policy
+from fovconn_env import Flight, Recorder, Recording, Scenario
+from fovconn_env.baselines import Gains
 from fovconn_env.baselines.laws.expert import potential
-from fovconn_env.flights.flight import fly
-from fovconn_env.training.evaluation import Evaluation, evaluate
-from fovconn_env.training.evaluation.flights import label
+from fovconn_env.flights.flight import Film
+from fovconn_env.training.evaluation.flights import Evaluation, fly, label
 
 
 def fly_once(
-    policy: str, scenario: Scenario, seed: int, watch: Callable[[int], None]
+    policy: str, scenario: Scenario, seed: int, watch: Callable[[float], None]
 ) -> tuple[Flight, Evaluation, Recording]:
-    """One flight: what happened in it, what it was worth, and how to compute it again."""
-    equipped = find_policy(policy).equip(scenario)
-    recorder = Recorder(Simulator(equipped), [label(policy)])
-    flight = fly(recorder, load_policy(policy, equipped).act, seed, watch=watch)
-    return flight, evaluate(policy, equipped, [seed]), recorder.recording()
+    """One flight: what happened in it, what it was worth, and how to compute it again. `watch` is told its share."""
+    film, recorder = Film(), Recorder(policies=[label(policy)])
+    result = fly(policy, scenario, [seed], watch=watch, observers=[film, recorder])
+    return film.flight(), result, recorder.recording()
 
 
 def draw(flight: Flight, folder: Path, *, animation: bool, bar: Progress) -> list[Path]:

@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fovconn_env import Recorder, Recording, Scenario, Simulator
+from fovconn_env import Recorder, Recording, Scenario
 from fovconn_env.baselines import POLICIES, Policy, find_policy
 from fovconn_env.flights.metrics import ERRORS, Meter, quantile
+from fovconn_env.flights.rollout import Observer, rollout
 from fovconn_env.training.evaluation.statistics import share_interval
 
 BATCH = 256  # worlds flown at once
@@ -38,10 +39,9 @@ def evaluate(
     parts = []
     for first in range(0, len(seeds), BATCH):
 
-        def watch(done: float, first: int = first) -> bool:
+        def watch(done: float, first: int = first) -> None:
             if progress is not None:
                 progress(first + done)
-            return True
 
         parts.append(fly(policy, scenario, seeds[first : first + BATCH], watch=watch))
     return join(parts)
@@ -52,25 +52,20 @@ def fly(
     scenario: Scenario,
     seeds: Sequence[int],
     *,
-    watch: Callable[[float], bool],
+    watch: Callable[[float], bool | None],
     n_threads: int | None = None,
+    observers: Sequence[Observer] = (),
 ) -> Evaluation:
-    """Fly one batch. `watch` is told the number of episodes done, in fractions, and says whether to go on.
+    """Fly one batch. `watch` is told the number of episodes done, in fractions; False from it breaks off.
 
-    If not, the result has the finished episodes alone. Raises `ValueError` that names policy, scenario, seed and step
-    where the policy fails or returns what is no action.
+    The result then has the finished episodes alone. Observers look on; raises as `rollout`.
     """
-    kind = find_policy(policy) if isinstance(policy, str) else policy
-    simulator = Simulator(kind.equip(scenario), len(seeds), n_threads=n_threads, starts=scenario)
-    pilot = kind(simulator.scenario)
-    observations = simulator.reset(list(seeds))
-    meter, going = Meter(simulator), True
-    while going and not simulator.over.all():
-        observations = simulator.step(_decide(pilot, observations, simulator, seeds))
-        meter.update()
+    kind, meter = find_policy(policy) if isinstance(policy, str) else policy, Meter()
+    for simulator in rollout(kind, scenario, seeds, observers=[meter, *observers], n_threads=n_threads):
         step = simulator.state.episode["step"]
-        going = watch(float(np.where(simulator.over, 1.0, step / simulator.max_cycles).sum()))
-    done = simulator.over
+        if watch(float(np.where(simulator.over, 1.0, step / simulator.max_cycles).sum())) is False:
+            break
+    done = meter.simulator.over
     episodes = {name: values[done] for name, values in meter.results().items()}
     finished = [seed for seed, over in zip(seeds, done, strict=True) if over]
     return Evaluation(label(policy), scenario, finished, episodes, meter.histograms()[done])
@@ -78,12 +73,8 @@ def fly(
 
 def record(policy: str | type[Policy], scenario: Scenario, seed: int) -> Recording:
     """Fly a policy once as `fly` does, and record it."""
-    kind = find_policy(policy) if isinstance(policy, str) else policy
-    recorder = Recorder(Simulator(kind.equip(scenario), starts=scenario), [label(policy)])
-    simulator, observations = recorder.simulator, recorder.reset(seed)
-    pilot = kind(simulator.scenario)
-    while not simulator.over[0]:
-        observations = recorder.step(_decide(pilot, observations, simulator, [seed]))
+    recorder = Recorder(policies=[label(policy)])
+    fly(policy, scenario, [seed], watch=lambda done: None, observers=[recorder])
     return recorder.recording()
 
 
@@ -126,23 +117,6 @@ MEANS = (
     "lost_by_view lost_by_occlusion lost_by_fault mutual_share one_way_share mean_speed saturated_share "
     "bytes_per_second return v2_alignment yaw_valid_mutual yaw_valid_one_way"
 ).split()
-
-
-def _decide(pilot: Policy, observations: np.ndarray, simulator: Simulator, seeds: Sequence[int]) -> np.ndarray:
-    """The policy's actions, found to be finite."""
-    name, where = type(pilot).__name__, simulator.scenario.name
-    at = f"step {int(simulator.state.episode['step'].max())}"
-    try:
-        actions = pilot.act(observations)
-    except Exception as problem:
-        what = problem if isinstance(problem, ValueError) else f"{type(problem).__name__}: {problem}"
-        raise ValueError(f"policy {name} failed on {where} in {at}: {what}") from problem
-    bad = ~np.isfinite(actions).all(-1) & ~simulator.over[:, None]
-    if bad.any():
-        b, i = np.argwhere(bad)[0]
-        got = f"got {actions[b, i].tolist()} for uav_{i} on {where}, seed {seeds[b]}, {at}"
-        raise ValueError(f"policy {name} must return finite actions, {got}: did it diverge?")
-    return np.where(simulator.over[:, None, None], 0.0, actions)
 
 
 def _mean(values: np.ndarray) -> float:

@@ -1,0 +1,110 @@
+"""The one loop that flies a policy, step by step, and the observers that look on.
+
+A flight is flown once, however many want something of it: a recording, metrics, pictures, rows of a data set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.sim.simulator import Simulator
+
+
+class Policy(Protocol):
+    """What flies a team; `fovconn_env.baselines.Policy` is one."""
+
+    def act(self, observation: np.ndarray, /) -> np.ndarray:
+        """Actions (B, N, 4), shares in [-1, 1], for observations (B, N, D) float32."""
+        ...
+
+
+class PolicyClass(Protocol):
+    """What makes policies and says what their team flies with; a subclass of `fovconn_env.baselines.Policy` is one."""
+
+    def equip(self, base: Scenario, /) -> Scenario:
+        """The scenario with the policy's own equipment, another estimator for example."""
+        ...
+
+    def __call__(self, scenario: Scenario, /) -> Policy:
+        """A policy that knows nothing of earlier flights, for an equipped scenario."""
+        ...
+
+
+class Observer:
+    """Looks on at a flight and keeps what it wants of it. It changes nothing; a subclass fills in what it needs."""
+
+    def begin(self, simulator: Simulator) -> None:
+        """The worlds have been reset."""
+
+    def before_step(self, actions: np.ndarray) -> None:
+        """These actions (B, N, 4) are flown next. Observations and the stick are what the policy has seen."""
+
+    def update(self) -> None:
+        """A step has been made. Worlds whose episode was over before it are as they were."""
+
+
+def rollout(
+    policy: PolicyClass,
+    scenario: Scenario,
+    seeds: Sequence[int],
+    *,
+    observers: Sequence[Observer] = (),
+    n_threads: int | None = None,
+) -> Iterator[Simulator]:
+    """Fly a policy once from every seed, a world each: yields the simulator after the reset and after every step.
+
+    The team flies with the policy's equipment; its starts are drawn by the rules of the scenario as given. The caller
+    may break off at any step. Raises `ValueError` that names policy, scenario and step where the policy fails, and
+    robot and seed where it returns what is no action.
+    """
+    simulator = Simulator(policy.equip(scenario), len(seeds), n_threads=n_threads, starts=scenario)
+    pilot = policy(simulator.scenario)
+    simulator.reset(list(seeds))
+    return steps(simulator, lambda _: decide(pilot, simulator), observers)
+
+
+def steps(
+    simulator: Simulator, act: Callable[[np.ndarray], np.ndarray], observers: Sequence[Observer] = ()
+) -> Iterator[Simulator]:
+    """Step a simulator that has been reset until all its episodes are over; yields it now and after every step.
+
+    Between two steps the caller may push the stick or change who leads; `act` gets the observations after that.
+    """
+    for observer in observers:
+        observer.begin(simulator)
+    yield simulator
+    while not simulator.over.all():
+        actions = act(simulator.observations)
+        for observer in observers:
+            observer.before_step(actions)
+        simulator.step(actions)
+        for observer in observers:
+            observer.update()
+        yield simulator
+
+
+def decide(policy: Policy, simulator: Simulator) -> np.ndarray:
+    """A policy's actions (B, N, 4) float64 in the next step, 0 in worlds whose episode is over; raises as `rollout`."""
+    name, where = type(policy).__name__, simulator.scenario.name
+    at = f"step {int(simulator.state.episode['step'].max())}"
+    try:
+        actions = np.asarray(policy.act(simulator.observations), np.float64)
+    except Exception as problem:
+        what = problem if isinstance(problem, ValueError) else f"{type(problem).__name__}: {problem}"
+        raise ValueError(f"policy {name} failed on {where} in {at}: {what}") from problem
+    shape = (*simulator.observations.shape[:2], 4)
+    if actions.shape != shape:
+        hint = "worlds, robots, vx vy vz yaw_rate"
+        raise ValueError(
+            f"policy {name} must return actions of the shape {shape}, got {actions.shape} on {where}: {hint}"
+        )
+    bad = ~np.isfinite(actions).all(-1) & ~simulator.over[:, None]
+    if bad.any():
+        b, i = np.argwhere(bad)[0].tolist()
+        got = f"got {actions[b, i].tolist()} for uav_{i} on {where}, seed {simulator.seeds[b]}, {at}"
+        raise ValueError(f"policy {name} must return finite actions, {got}: did it diverge?")
+    return np.where(simulator.over[:, None, None], 0.0, actions)
