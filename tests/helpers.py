@@ -72,7 +72,7 @@ def bodies_of(team: list[ref.Pose], camera) -> np.ndarray:
     bodies["cos_yaw"], bodies["sin_yaw"] = np.cos(bodies["yaw"]), np.sin(bodies["yaw"])
     for body, pose in zip(bodies, team, strict=True):
         body["roll"], body["pitch"] = pose.roll, pose.pitch
-        body["ox"], body["oy"], body["oz"] = ref.tilt(pose.roll, pose.pitch) @ ref.axis(camera)
+        body["axis_x"], body["axis_y"], body["axis_z"] = ref.tilt(pose.roll, pose.pitch) @ ref.axis(camera)
     return bodies
 
 

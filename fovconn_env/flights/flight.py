@@ -146,7 +146,7 @@ def _frame(simulator: Simulator, world: int) -> Iterator[np.ndarray]:
     yield state.episode["lambda2"][world]
     yield state.belief["lambda2_hat"][world].copy()
     yield pair["weight"].copy()
-    yield pair["watch"].copy()
+    yield pair["f_star"].copy()
     yield true_yaw(body["yaw"])
     yield np.arctan2(track["sin_used"], track["cos_used"])
     yield track["valid"] & track["present"]

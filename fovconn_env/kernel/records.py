@@ -111,7 +111,7 @@ BODY = _record(
         *_numbers("turn_cos turn_sin"),  # half a tick's turn at the commanded yaw rate
         *_numbers("vx vy vz yaw_rate"),  # yaw frame, actual
         *_numbers("roll pitch"),
-        *_numbers("ox oy oz"),  # optical axis in the yaw frame, tilted
+        *_numbers("axis_x axis_y axis_z"),  # optical axis in the yaw frame, tilted
         *_numbers("command_vx command_vy command_vz command_yaw_rate"),  # yaw frame, saturated
         *_numbers("nearest"),  # m, least distance of centres to another robot at this tick
         *_numbers("clearance"),  # m, least distance to an obstacle at this tick
@@ -141,25 +141,25 @@ PAIR = _record(
         ("broken", "b1"),  # a camera or a robot is dead, or one would see the other
         ("seen", "b1"),  # i's camera can see j now
         ("linked", "b1"),  # messages pass now
-        ("asleep", "i8"),  # ticks since messages could pass, but for faults, up to rest_ticks
+        ("idle_ticks", "i8"),  # ticks since geometry last allowed a link (faults apart), up to rest_ticks
         ("weight", "f8"),  # true A_ij at the end of the step
-        ("watch", "f8"),  # true f*_ij at the end of the step
+        ("f_star", "f8"),  # true f*_ij at the end of the step
     ]
 )
 
 # ------------------------------------------------------------------------------------------ sensors and messages
-OWN = _record(
+EGO = _record(
     [
         *_numbers("vx vy vz yaw_rate roll pitch"),  # odometry and IMU of one robot, yaw frame
         # and what follows from them for this tick
         *_numbers("turn_cos turn_sin"),  # turns last tick's yaw frame into this one
         *_numbers("shift_x shift_y"),  # m, own way since the last tick
-        *_numbers("ox oy oz"),  # optical axis in the yaw frame
+        *_numbers("axis_x axis_y axis_z"),  # optical axis in the yaw frame
     ]
 )
 SIGHT = _record([("seen", "b1"), *_numbers("x y z")])  # camera of i about j: p_ij (2), yaw frame, de-tilted
-POST = _record(_columns(BROADCAST))  # the part of a robot's messages that is the same for all
-MAIL = _record([("sent", "b1"), ("arrives", "b1"), *_columns(NOTE)])  # the part for one of them: 64 bytes
+BROADCAST_RECORD = _record(_columns(BROADCAST))  # the part of a robot's messages that is the same for all
+UNICAST_RECORD = _record([("sent", "b1"), ("arrives", "b1"), *_columns(NOTE)])  # the part for one of them: 64 bytes
 INBOX = _record(  # what i last heard of j; what changes in every round stands first: 3 x 64 bytes
     [
         ("fresh", "b1"),  # heard in this round
@@ -214,7 +214,7 @@ EPISODE = _record(
         ("rests", "b1"),  # who flies along way points pauses in the next step
     ]
 )
-TALLY = record(INFO, "f8")
+INFO_RECORD = record(INFO, "f8")
 
 
 class Scratch(NamedTuple):
@@ -223,11 +223,11 @@ class Scratch(NamedTuple):
     laplacian: np.ndarray  # (N, N)
     spectrum: np.ndarray  # (N + spectrum.N_VECTORS, N)
     # unsigned, as numba checks each use of a signed index for counting from the end
-    order: np.ndarray  # (N,) uint32, all robots, see camera.list_near
+    order: np.ndarray  # (N,) uint32, all robots, see camera.broad_phase
     near: np.ndarray  # (N N, 2) uint32, the pairs to look at
-    who: np.ndarray  # (N N,) uint32, the pairs that have to do with each other, see camera.muster
-    whom: np.ndarray  # (N N,) uint32
-    first: np.ndarray  # (N + 1,) int64
+    row: np.ndarray  # (N N,) uint32, rows of the CSR list of contacts, see camera.build_contacts
+    col: np.ndarray  # (N N,) uint32, their columns
+    indptr: np.ndarray  # (N + 1,) int64, where each row starts
 
 
 class State(NamedTuple):
@@ -236,10 +236,10 @@ class State(NamedTuple):
     body: np.ndarray  # (B, N) BODY
     flight: np.ndarray  # (B, N) FLIGHT
     pair: np.ndarray  # (B, N, N) PAIR
-    own: np.ndarray  # (B, N) OWN
+    ego: np.ndarray  # (B, N) EGO
     sight: np.ndarray  # (B, N, N) SIGHT
-    post: np.ndarray  # (B, L, N) POST, on the air: [slot, sender]
-    mail: np.ndarray  # (B, L, N, N) MAIL, on the air: [slot, sender, receiver]
+    broadcast: np.ndarray  # (B, L, N) BROADCAST_RECORD, on the air: [slot, sender]
+    unicast: np.ndarray  # (B, L, N, N) UNICAST_RECORD, on the air: [slot, sender, receiver]
     inbox: np.ndarray  # (B, N, N) INBOX: [receiver, sender]
     track: np.ndarray  # (B, N, N) TRACK
     belief: np.ndarray  # (B, N) BELIEF
@@ -251,7 +251,7 @@ class State(NamedTuple):
     mode: np.ndarray  # (B, N, N) each robot's eigenvector v2
     episode: np.ndarray  # (B,) EPISODE
     fiedler: np.ndarray  # (B, N) true v2, end of the step
-    info: np.ndarray  # (B, N) TALLY
+    info: np.ndarray  # (B, N) INFO_RECORD
     reward: np.ndarray  # (B, N) float64
     flat: np.ndarray  # (B, N, D) float32, the observations; the three below are views into it
     own_row: np.ndarray  # (B, N) SELF rows

@@ -1,4 +1,4 @@
-"""One step of the environment: move > look > sense > talk > estimate > judge > observe, world by world.
+"""One step of the environment: dynamics, pairs, sensors, messages, estimators, outcome, observations; world by world.
 
 `run` lists the stages; a stage loops over the robots of one world. Functions that run on board get robot i's own
 slices and nothing else.
@@ -11,18 +11,36 @@ from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.maths import random
 from fovconn_env.kernel.maths.geometry import clearance
 from fovconn_env.kernel.onboard import power_iteration, relative_yaw
-from fovconn_env.kernel.onboard.flooding import assemble, enter, merge, put, solve
-from fovconn_env.kernel.onboard.liveness import hear_beats, share_there, tell_beats
-from fovconn_env.kernel.onboard.observation import clip, observe_neighbors, observe_self
-from fovconn_env.kernel.onboard.power_iteration import agree, awaken, conclude, know, power_round
-from fovconn_env.kernel.onboard.relative_yaw import attend, estimate_yaw, reckon
-from fovconn_env.kernel.world.camera import feel, list_near, look, muster, see
-from fovconn_env.kernel.world.faults import cut, repair, wear
-from fovconn_env.kernel.world.kinematics import command, glide, stand, steady
-from fovconn_env.kernel.world.operator import NOBODY, steer
-from fovconn_env.kernel.world.outcome import connectivity, end, reward, tell, weigh
-from fovconn_env.kernel.world.quadrotor import fly, hover
-from fovconn_env.kernel.world.radio import address, announce, receive, transmit
+from fovconn_env.kernel.onboard.flooding import build_laplacian, copy_table, merge_table, solve_table, write_own_row
+from fovconn_env.kernel.onboard.liveness import live_share, merge_beats, send_beats
+from fovconn_env.kernel.onboard.observation import clip, write_neighbors, write_self
+from fovconn_env.kernel.onboard.power_iteration import (
+    agree_weight,
+    init_estimate,
+    power_round,
+    read_estimate,
+    set_estimate,
+)
+from fovconn_env.kernel.onboard.relative_yaw import dead_reckon, estimate_yaw, update_track
+from fovconn_env.kernel.world.camera import (
+    broad_phase,
+    build_contacts,
+    measure_ego_motion,
+    measure_relative_position,
+    update_pairs,
+)
+from fovconn_env.kernel.world.faults import apply_faults, clear_faults, mask_pairs
+from fovconn_env.kernel.world.kinematics import cache_half_turn, reset_kinematic, set_command, step_kinematic
+from fovconn_env.kernel.world.operator import NOBODY, update_stick
+from fovconn_env.kernel.world.outcome import (
+    check_termination,
+    true_lambda2,
+    update_true_weights,
+    write_infos,
+    write_rewards,
+)
+from fovconn_env.kernel.world.quadrotor import reset_quadrotor, step_quadrotor
+from fovconn_env.kernel.world.radio import draw_losses, receive_message, write_broadcast, write_unicast
 from fovconn_env.kernel.world.rangefinder import scan
 
 ADVANCE, BEGIN = range(2)
@@ -39,72 +57,72 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
     for both, because each entry compiles everything below it.
     """
     p = params[0]
-    n, order, who, whom, first_of = state.body.shape[1], scratch.order, scratch.who, scratch.whom, scratch.first
+    n, order, row, col, indptr = state.body.shape[1], scratch.order, scratch.row, scratch.col, scratch.indptr
     for b in range(first, last):
         episode = state.episode[b]
         if (task == BEGIN and not mask[b]) or (task == ADVANCE and episode.over):
             continue
         bodies, flights, pairs, infos = state.body[b], state.flight[b], state.pair[b], state.info[b]
-        own, sights, inboxes = state.own[b], state.sight[b], state.inbox[b]
+        ego, sights, inboxes = state.ego[b], state.sight[b], state.inbox[b]
         tracks, beliefs, v2 = state.track[b], state.belief[b], state.fiedler[b]
         tables, modes, beats = state.table[b], state.mode[b], state.beat[b]
         piece, vertex, faults = world.piece[b], world.vertex[b], world.fault[b]
         stick_x, stick_y, stick_z = episode.stick_x, episode.stick_y, episode.stick_z
         ticks = p.ticks if task == ADVANCE else warm_ticks
-        slots = state.mail.shape[1]  # rounds a message travels
+        slots = state.unicast.shape[1]  # rounds a message travels
         repeats = slots == 1 and p.loss == 0.0  # a tick's first notes lie in the slot until its last round
         if task == ADVANCE:
-            obey(bodies, actions[b], episode, p)
+            set_commands(bodies, actions[b], episode, p)
         else:
             episode.leader = p.leader_index
-            start(bodies, flights, inboxes, tracks, beliefs, episode.key, p)
+            init_robots(bodies, flights, inboxes, tracks, beliefs, episode.key, p)
         for i in range(infos.shape[0]):
             infos[i].bytes_sent = 0.0
 
-        muster(pairs, who, whom, first_of, p)
+        build_contacts(pairs, row, col, indptr, p)
         for tick in range(ticks):
             if task == ADVANCE:
-                move(bodies, flights, episode, p)
-            n_near = list_near(bodies, order, who, whom, first_of[n], scratch.near, p)
-            if look(bodies, pairs, scratch.near, n_near, piece, vertex, p):
-                muster(pairs, who, whom, first_of, p)
+                step_dynamics(bodies, flights, episode, p)
+            n_near = broad_phase(bodies, order, row, col, indptr[n], scratch.near, p)
+            if update_pairs(bodies, pairs, scratch.near, n_near, piece, vertex, p):
+                build_contacts(pairs, row, col, indptr, p)
             if task == ADVANCE and faults.shape[0] > 0:
                 now = (episode.step * p.ticks + tick + 1) * p.tick
-                fail(bodies, flights, pairs, state.mail[b], faults, now, p)
-            touch(bodies, piece, vertex, episode, p)
+                update_faults(bodies, flights, pairs, state.unicast[b], faults, now, p)
+            detect_collisions(bodies, piece, vertex, episode, p)
             if tick == ticks - 1:
-                episode.n_edges = weigh(pairs, infos, p)
-                episode.lambda2 = connectivity(bodies, pairs, v2, scratch.laplacian, scratch.spectrum)
+                episode.n_edges = update_true_weights(pairs, infos, p)
+                episode.lambda2 = true_lambda2(bodies, pairs, v2, scratch.laplacian, scratch.spectrum)
                 if p.lambda2 == power_iteration.TRUE:
                     reveal_lambda2(beliefs, episode.lambda2, v2)
-            sense(bodies, pairs, own, sights, tracks, who, whom, first_of[n], episode, p)
+            sense(bodies, pairs, ego, sights, tracks, row, col, indptr[n], episode, p)
             for k in range(p.rounds):
                 slot = episode.n_rounds % slots
-                post, mail, air = state.post[b, slot], state.mail[b, slot], state.air[b, slot]
+                broadcast, unicast, air = state.broadcast[b, slot], state.unicast[b, slot], state.air[b, slot]
                 beat_air = state.beat_air[b, slot]
                 news = (episode.n_rounds - slots) % p.rounds == 0  # the first messages of a tick arrive
-                exchange(post, mail, inboxes, tracks, who, whom, first_of[n], news, p)
+                receive_messages(broadcast, unicast, inboxes, tracks, row, col, indptr[n], news, p)
                 if slot == 0 and p.lambda2 == power_iteration.POWER:
-                    estimate_lambda2(beliefs, tracks, post, inboxes, whom, first_of, p)
+                    estimate_lambda2(beliefs, tracks, broadcast, inboxes, col, indptr, p)
                 n_bytes = layout.BYTES_PER_MESSAGE * (p.rounds if repeats else 1)
                 if news:
-                    listen(beats, beat_air, mail, who, whom, first_of[n])
+                    receive_beats(beats, beat_air, unicast, row, col, indptr[n])
                 if k == 0:
                     for i in range(n):
-                        tell_beats(beat_air[i], beats[i], i, episode.n_rounds // p.rounds + 1)
+                        send_beats(beat_air[i], beats[i], i, episode.n_rounds // p.rounds + 1)
                     n_bytes += bytes_per_beats(n)
                 if p.lambda2 == power_iteration.FLOODING:
                     if news:
-                        gather(tables, air, mail, who, whom, first_of[n])
+                        receive_tables(tables, air, unicast, row, col, indptr[n])
                     if k == 0:
-                        flood(tables, air, tracks, episode.n_rounds // p.rounds + 1)
+                        send_tables(tables, air, tracks, episode.n_rounds // p.rounds + 1)
                         n_bytes += bytes_per_table(n)
                 for i in range(n):
-                    announce(post[i], own[i], beliefs[i])
+                    write_broadcast(broadcast[i], ego[i], beliefs[i])
                 if k == 0 or not repeats:
-                    write(mail, tracks, pairs, infos, who, whom, first_of[n], n_bytes, episode, p)
+                    send_messages(unicast, tracks, pairs, infos, row, col, indptr[n], n_bytes, episode, p)
                 episode.n_rounds += 1
-            orient(tracks, sights, own, inboxes, who, whom, first_of[n], p)
+            estimate_yaws(tracks, sights, ego, inboxes, row, col, indptr[n], p)
             if p.relative_yaw != relative_yaw.ESTIMATED:
                 override_yaw(bodies, tracks, p)
 
@@ -115,80 +133,82 @@ def run(task, state, world, scratch, params, actions, mask, warm_ticks, first, l
                 infos[i].bytes_sent = 0.0  # the warm-up's
         if p.lambda2 == power_iteration.POWER:
             for i in range(n):
-                conclude(beliefs[i], n)
+                read_estimate(beliefs[i], n)
         elif p.lambda2 == power_iteration.FLOODING:
             solve_tables(beliefs, tables, modes, scratch, episode.n_rounds // p.rounds, p)
-        arrived = steer(bodies[episode.leader], world.waypoint[b], world.n_waypoints[b], world.stick, episode, p)
+        arrived = update_stick(bodies[episode.leader], world.waypoint[b], world.n_waypoints[b], world.stick, episode, p)
         own_rows, neighbor_rows = state.own_row[b], state.neighbor_row[b]
-        inform(own, tracks, inboxes, beliefs, beats, modes, whom, first_of, own_rows, neighbor_rows, infos, episode, p)
-        measure(bodies, piece, vertex, state.range_row[b], episode, p)
+        write_observations(
+            ego, tracks, inboxes, beliefs, beats, modes, col, indptr, own_rows, neighbor_rows, infos, episode, p
+        )
+        write_ranges(bodies, piece, vertex, state.range_row[b], episode, p)
         if faults.shape[0] > 0:
-            darken(bodies, state.flat[b])
+            zero_dead(bodies, state.flat[b])
         clip(state.flat[b], world.low, world.high)
         if task == ADVANCE:
-            end(episode, arrived, p)
-            reward(bodies, infos, state.reward[b], actions[b], episode, stick_x, stick_y, stick_z, p)
-        tell(bodies, tracks, beliefs, infos, whom, first_of, episode, p)
+            check_termination(episode, arrived, p)
+            write_rewards(bodies, infos, state.reward[b], actions[b], episode, stick_x, stick_y, stick_z, p)
+        write_infos(bodies, tracks, beliefs, infos, col, indptr, episode, p)
 
 
 @kernel
-def start(bodies, flights, inboxes, tracks, beliefs, key, p):
-    """Robots stand or hover where they are; estimators know nothing yet."""
+def init_robots(bodies, flights, inboxes, tracks, beliefs, key, p):
+    """Robots stand or hover at their poses; estimators are empty."""
     n = bodies.shape[0]
     for i in range(n):
-        repair(bodies[i])
-        rest(bodies[i], flights[i], p)
+        clear_faults(bodies[i])
+        reset_body(bodies[i], flights[i], p)
         if p.lambda2 == power_iteration.POWER:
-            awaken(beliefs[i], 2.0 * random.uniform(random.draw(key, 0, i, random.START)) - 1.0)
+            init_estimate(beliefs[i], 2.0 * random.uniform(random.draw(key, 0, i, random.START)) - 1.0)
         for j in range(n):
             inboxes[i, j].age = p.memory
             tracks[i, j].cos_yaw = tracks[i, j].cos_used = 1.0
 
 
 @kernel
-def rest(body, flight, p):
-    """A robot stands or hovers where it is."""
+def reset_body(body, flight, p):
+    """Put a robot at rest at its pose."""
     if p.dynamics == QUADROTOR:
-        hover(body, flight, p)
+        reset_quadrotor(body, flight, p)
     else:
-        stand(body, p)
+        reset_kinematic(body, p)
 
 
 @kernel
-def obey(bodies, actions, episode, p):
+def set_commands(bodies, actions, episode, p):
     """Turn actions (N, 4) into commands; the stick (m/s, leader's yaw frame) is added to the leader's."""
     for i in range(bodies.shape[0]):
         pull = 1.0 if i == episode.leader else 0.0
-        command(bodies[i], actions[i], pull * episode.stick_x, pull * episode.stick_y, pull * episode.stick_z, p)
+        set_command(bodies[i], actions[i], pull * episode.stick_x, pull * episode.stick_y, pull * episode.stick_z, p)
         if p.dynamics == KINEMATIC:
-            steady(bodies[i], p)
+            cache_half_turn(bodies[i], p)
 
 
 @kernel
-def move(bodies, flights, episode, p):
+def step_dynamics(bodies, flights, episode, p):
     """Move every robot by one tick along its command; a dead one stays where it is."""
     for i in range(bodies.shape[0]):
         if not bodies[i].alive:
             continue
         if p.dynamics == QUADROTOR:
-            fly(bodies[i], flights[i], p, episode.key, episode.n_rounds, i)
+            step_quadrotor(bodies[i], flights[i], p, episode.key, episode.n_rounds, i)
         else:
-            glide(bodies[i], p)
+            step_kinematic(bodies[i], p)
 
 
 @kernel
-def fail(bodies, flights, pairs, mail, faults, now, p):
-    """What works at the time `now`, s on the clock; a dead robot is at rest, level. One call: two cost speed."""
-    wear(bodies, mail, faults, now)
-    cut(bodies, pairs, p)
+def update_faults(bodies, flights, pairs, unicast, faults, now, p):
+    """Apply the faults at the time `now`, s on the clock; a dead robot is at rest, level. One call: two are slower."""
+    apply_faults(bodies, unicast, faults, now)
+    mask_pairs(bodies, pairs, p)
     for i in range(bodies.shape[0]):
         if not bodies[i].alive:
-            rest(bodies[i], flights[i], p)
+            reset_body(bodies[i], flights[i], p)
 
 
 @kernel
-def touch(bodies, piece, vertex, episode, p):
-    """Note collisions between robots and with obstacles."""
+def detect_collisions(bodies, piece, vertex, episode, p):
+    """Detect collisions between robots and with obstacles."""
     for i in range(bodies.shape[0]):
         body = bodies[i]
         body.clearance = clearance(body.x, body.y, body.z, piece, vertex)
@@ -197,96 +217,98 @@ def touch(bodies, piece, vertex, episode, p):
 
 
 @kernel
-def sense(bodies, pairs, own, sights, tracks, who, whom, count, episode, p):
+def sense(bodies, pairs, ego, sights, tracks, row, col, count, episode, p):
     """Odometry, IMU and camera of every robot."""
     n = bodies.shape[0]
     for i in range(n):
-        feel(bodies[i], own[i], i, episode.key, episode.n_rounds, p)
-        reckon(own[i], p)
+        measure_ego_motion(bodies[i], ego[i], i, episode.key, episode.n_rounds, p)
+        dead_reckon(ego[i], p)
     for k in range(count):
-        i, j = who[k], whom[k]
-        see(bodies[i], bodies[j], pairs[i, j], own[i], sights[i, j], i * n + j, episode.key, episode.n_rounds, p)
-        attend(tracks[i, j], sights[i, j], own[i], p)
+        i, j = row[k], col[k]
+        measure_relative_position(
+            bodies[i], bodies[j], pairs[i, j], ego[i], sights[i, j], i * n + j, episode.key, episode.n_rounds, p
+        )
+        update_track(tracks[i, j], sights[i, j], ego[i], p)
 
 
 @kernel
-def exchange(post, mail, inboxes, tracks, who, whom, count, news, p):
-    """Deliver the messages that arrive in this round, those written longest ago; both ends agree on their link."""
+def receive_messages(broadcast, unicast, inboxes, tracks, row, col, count, news, p):
+    """Deliver the messages that arrive in this round; both ends of a link update its agreed weight."""
     for k in range(count):
-        i, j = who[k], whom[k]
-        receive(post[j], mail[j, i], inboxes[i, j], news, p)
-        agree(tracks[i, j], mail[i, j], inboxes[i, j], p)
+        i, j = row[k], col[k]
+        receive_message(broadcast[j], unicast[j, i], inboxes[i, j], news, p)
+        agree_weight(tracks[i, j], unicast[i, j], inboxes[i, j], p)
 
 
 @kernel
-def estimate_lambda2(beliefs, tracks, post, inboxes, whom, first, p):
+def estimate_lambda2(beliefs, tracks, broadcast, inboxes, col, indptr, p):
     """On board of every robot: one round of the power iteration."""
     for i in range(beliefs.shape[0]):
-        power_round(beliefs[i], tracks[i], post[i], inboxes[i], whom[first[i] : first[i + 1]], p)
+        power_round(beliefs[i], tracks[i], broadcast[i], inboxes[i], col[indptr[i] : indptr[i + 1]], p)
 
 
 @kernel
-def listen(beats, air, mail, who, whom, count):
-    """On board of every robot: what arrives in this round about who is there."""
+def receive_beats(beats, air, unicast, row, col, count):
+    """On board of every robot: take over the beats that arrive in this round."""
     for k in range(count):
-        i, j = who[k], whom[k]
-        if mail[j, i].arrives:
-            hear_beats(beats[i], air[j])
+        i, j = row[k], col[k]
+        if unicast[j, i].arrives:
+            merge_beats(beats[i], air[j])
 
 
 @kernel
-def gather(tables, air, mail, who, whom, count):
-    """On board of every robot: what is new in the tables that arrive in this round."""
+def receive_tables(tables, air, unicast, row, col, count):
+    """On board of every robot: merge the tables that arrive in this round."""
     for k in range(count):
-        i, j = who[k], whom[k]
-        if mail[j, i].arrives:
-            merge(tables[i], air[j])
+        i, j = row[k], col[k]
+        if unicast[j, i].arrives:
+            merge_table(tables[i], air[j])
 
 
 @kernel
-def flood(tables, air, tracks, tick):
-    """Every robot enters its links in its table and sends a copy of it with its first messages of a tick."""
+def send_tables(tables, air, tracks, tick):
+    """On board of every robot: write its links into its table, and send a copy with a tick's first messages."""
     for i in range(tables.shape[0]):
-        enter(tables[i], tracks[i], i, tick)
-        put(air[i], tables[i])
+        write_own_row(tables[i], tracks[i], i, tick)
+        copy_table(air[i], tables[i])
 
 
 @kernel
 def solve_tables(beliefs, tables, modes, scratch, now, p):
     """On board of every robot: lambda2 and v2 of the team as its table has it in tick `now`."""
     for i in range(beliefs.shape[0]):
-        assemble(tables[i], scratch.laplacian, now, p)
-        solve(beliefs[i], modes[i], scratch.laplacian, scratch.spectrum, i)
+        build_laplacian(tables[i], scratch.laplacian, now, p)
+        solve_table(beliefs[i], modes[i], scratch.laplacian, scratch.spectrum, i)
 
 
 @kernel
-def write(mail, tracks, pairs, infos, who, whom, count, n_bytes, episode, p):
-    """Every robot writes its notes into the slot just emptied; those that do not go on the air need no text.
+def send_messages(unicast, tracks, pairs, infos, row, col, count, n_bytes, episode, p):
+    """Every robot writes its unicast messages into the slot just emptied, where they go on the air.
 
     n_bytes: of the messages from one robot to another until it writes again.
     """
     n = pairs.shape[0]
     for k in range(count):
-        i, j = who[k], whom[k]
-        transmit(mail[i, j], pairs[i, j], i * n + j, episode.key, episode.n_rounds, p)
-        if mail[i, j].sent:
-            address(mail[i, j], tracks[i, j])
+        i, j = row[k], col[k]
+        draw_losses(unicast[i, j], pairs[i, j], i * n + j, episode.key, episode.n_rounds, p)
+        if unicast[i, j].sent:
+            write_unicast(unicast[i, j], tracks[i, j])
             infos[i].bytes_sent += n_bytes
 
 
 @kernel
-def orient(tracks, sights, own, inboxes, who, whom, count, p):
-    """On board of every robot: relative yaw of every robot that it has to do with."""
+def estimate_yaws(tracks, sights, ego, inboxes, row, col, count, p):
+    """On board of every robot: relative yaw of each of its contacts."""
     for k in range(count):
-        i, j = who[k], whom[k]
-        estimate_yaw(tracks[i, j], sights[i, j], own[i], inboxes[i, j], p)
+        i, j = row[k], col[k]
+        estimate_yaw(tracks[i, j], sights[i, j], ego[i], inboxes[i, j], p)
 
 
 @kernel
 def reveal_lambda2(beliefs, lambda2, v2):
     """Switch lambda2 = "true": an oracle puts the truth into every robot's belief."""
     for i in range(beliefs.shape[0]):
-        know(beliefs[i], lambda2, v2[i], v2.shape[0])
+        set_estimate(beliefs[i], lambda2, v2[i], v2.shape[0])
 
 
 @kernel
@@ -305,25 +327,27 @@ def override_yaw(bodies, tracks, p):
 
 
 @kernel
-def inform(own, tracks, inboxes, beliefs, beats, modes, whom, first, own_rows, neighbor_rows, infos, episode, p):
-    """Write what every robot has on board into its observation."""
-    for i in range(own.shape[0]):
-        there = share_there(beats[i], episode.n_rounds // p.rounds, p)
-        leads, known = i == episode.leader and p.leader != NOBODY, whom[first[i] : first[i + 1]]
-        observe_self(own_rows[i], own[i], beliefs[i], there, leads, episode.stick_x, episode.stick_y, episode.stick_z)
-        dropped = observe_neighbors(neighbor_rows[i], tracks[i], inboxes[i], beliefs[i], modes[i], known, p)
+def write_observations(
+    ego, tracks, inboxes, beliefs, beats, modes, col, indptr, own_rows, neighbor_rows, infos, episode, p
+):
+    """Write the observation of every robot from what it has on board."""
+    for i in range(ego.shape[0]):
+        there = live_share(beats[i], episode.n_rounds // p.rounds, p)
+        leads, known = i == episode.leader and p.leader != NOBODY, col[indptr[i] : indptr[i + 1]]
+        write_self(own_rows[i], ego[i], beliefs[i], there, leads, episode.stick_x, episode.stick_y, episode.stick_z)
+        dropped = write_neighbors(neighbor_rows[i], tracks[i], inboxes[i], beliefs[i], modes[i], known, p)
         infos[i].neighbors_dropped = dropped
 
 
 @kernel
-def measure(bodies, piece, vertex, range_rows, episode, p):
+def write_ranges(bodies, piece, vertex, range_rows, episode, p):
     """Write every robot's range points into its observation."""
     for i in range(bodies.shape[0]):
         scan(bodies, i, piece, vertex, range_rows[i], episode.key, episode.n_rounds, p)
 
 
 @kernel
-def darken(bodies, flat):
+def zero_dead(bodies, flat):
     """A dead robot observes nothing: zeros."""
     for i in range(bodies.shape[0]):
         if not bodies[i].alive:

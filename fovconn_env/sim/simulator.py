@@ -22,7 +22,7 @@ from fovconn_env.scenarios.leader import Recorded
 from fovconn_env.scenarios.presets import SWITCHES, Scenario
 from fovconn_env.sim.graph import Graph, observed_graph
 from fovconn_env.sim.memory import NO_ACTIONS, NO_MASK, allocate, clear, place, scratch
-from fovconn_env.sim.starts import Scout, Start, draw_faults
+from fovconn_env.sim.starts import EpisodeStart, StartSampler, draw_faults
 
 WORLDS_PER_SLICE = 16  # fewer are not worth the way to another thread
 Leader = Literal["waypoints", "none", "random", "human"]
@@ -69,7 +69,7 @@ class Simulator:
         self.params = scenario.params()
         self.world, self.state = allocate(scenario, n_worlds, 1, 1)
         self.state.episode["over"] = True  # until the first reset
-        self._scout = Scout(rules)
+        self._scout = StartSampler(rules)
         self._rngs: list[np.random.Generator | None] = [None] * n_worlds  # each from its world's first reset on
         self.seeds: list[int | None] = [None] * n_worlds  # of the episodes; None where a generator went on
         self._n_threads = min(n_threads or _cores(), max(n_worlds // WORLDS_PER_SLICE, 1))
@@ -176,7 +176,7 @@ class Simulator:
         if chosen.shape != (self.n_worlds,):
             raise ValueError(f"mask must have the shape ({self.n_worlds},), got {chosen.shape}: one entry a world")
         seeds = self._seeds(seed)
-        drawn: dict[int, tuple[np.random.Generator, Start, int]] = {}
+        drawn: dict[int, tuple[np.random.Generator, EpisodeStart, int]] = {}
         for b in np.flatnonzero(chosen).tolist():
             rng = self._generator(b) if seeds is None else np.random.default_rng(seeds[b])
             start = self._scout.draw(rng, poses)
@@ -276,7 +276,7 @@ class Simulator:
     def _resteer(self) -> None:
         """The operator's sticks anew, after a change of leader."""
         world, state = self.world, self.state
-        operator.resteer(state.body, world.waypoint, world.n_waypoints, world.stick, state.episode, self.params)
+        operator.reset_sticks(state.body, world.waypoint, world.n_waypoints, world.stick, state.episode, self.params)
         self._show_stick()
 
     def _show_stick(self) -> None:
@@ -318,7 +318,7 @@ class Simulator:
         )
         self.world = self.world._replace(piece=piece, vertex=vertex)
 
-    def _place(self, b: int, start: Start, key: int) -> None:
+    def _place(self, b: int, start: EpisodeStart, key: int) -> None:
         """Clear the records of world b and put the start into them."""
         clear(self.world, self.state, b)
         self.world.piece[b, : len(start.pieces)], self.world.vertex[b, : len(start.vertices)] = (

@@ -25,7 +25,7 @@ MAX_MAPS = 20  # random maps drawn before giving up
 MARGIN = 3.0  # m, obstacles reach this far beyond starts and way points
 
 
-class Start(NamedTuple):
+class EpisodeStart(NamedTuple):
     """Where one episode begins."""
 
     poses: np.ndarray  # (N, 4) x, y, z, yaw
@@ -35,7 +35,7 @@ class Start(NamedTuple):
     faults: np.ndarray = np.zeros(0, records.FAULT)  # (F,)
 
 
-class Scout:
+class StartSampler:
     """Draws starts for one scenario and tries them on a world of its own, so that a failed draw changes nothing."""
 
     def __init__(self, scenario: Scenario) -> None:
@@ -43,7 +43,7 @@ class Scout:
         self.params, self.scratch = scenario.params(), scratch(scenario.n_agents)
         self._stage: tuple[records.World, records.State] | None = None  # where `assess` tries a start
 
-    def draw(self, rng: np.random.Generator, poses: np.ndarray | None = None) -> Start:
+    def draw(self, rng: np.random.Generator, poses: np.ndarray | None = None) -> EpisodeStart:
         """A start that keeps the scenario's rules; given `poses` (N, 4) are used as they are, if nothing collides.
 
         Raises `ValueError` if no start is found, or if given poses overlap or stand in an obstacle.
@@ -65,7 +65,7 @@ class Scout:
             "enlarge Start.box, lower spacing or clearance, widen the lambda2 interval, or use a map with more room"
         )
 
-    def _draw_once(self, rng: np.random.Generator, poses: np.ndarray | None) -> Start | None:
+    def _draw_once(self, rng: np.random.Generator, poses: np.ndarray | None) -> EpisodeStart | None:
         scenario = self.scenario
         if not isinstance(scenario.map, Map):
             team = check_poses(poses, scenario) if poses is not None else self._poses(rng, None)
@@ -155,9 +155,9 @@ class Scout:
         low, high = places[:, :2].min(0) - MARGIN, places[:, :2].max(0) + MARGIN
         return kind.generate(rng, (low[0], high[0], low[1], high[1]), places, clearance)
 
-    def _start(self, poses: np.ndarray, waypoints: np.ndarray, obstacles: Map | None) -> Start:
+    def _start(self, poses: np.ndarray, waypoints: np.ndarray, obstacles: Map | None) -> EpisodeStart:
         pieces, vertices = obstacles.flatten() if obstacles is not None else NO_OBSTACLES
-        return Start(poses, waypoints, pieces, vertices)
+        return EpisodeStart(poses, waypoints, pieces, vertices)
 
 
 def draw_faults(scenario: Scenario, rng: np.random.Generator) -> np.ndarray:

@@ -45,7 +45,7 @@ def dropped(state, scenario):
 
 def check_own_row(row, state, i, leads):
     for name in MOTION:
-        assert row[name] == pytest.approx(state.own[name][0, i], abs=1e-6)
+        assert row[name] == pytest.approx(state.ego[name][0, i], abs=1e-6)
     assert row.lambda2_hat == pytest.approx(state.belief["lambda2_hat"][0, i], abs=1e-6)
     assert row.v2_hat == pytest.approx(state.belief["v2_hat"][0, i], abs=1e-6)
     assert row.is_leader == leads

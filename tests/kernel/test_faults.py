@@ -79,11 +79,11 @@ def test_a_dead_camera_sees_nobody_and_is_seen(flight):
         if k < WHEN:
             continue
         assert not pair["seen"][2].any()
-        assert (pair["watch"][2] == 0).all()
+        assert (pair["f_star"][2] == 0).all()
         assert not blind.state.sight["seen"][0, 2].any()
         others = np.arange(5) != 2
         assert (pair["seen"][others] == whole["seen"][others]).all()
-        assert (pair["watch"][:, 2] == whole["watch"][:, 2]).all()
+        assert (pair["f_star"][:, 2] == whole["f_star"][:, 2]).all()
         watched, watching = watched + pair["seen"][:, 2].sum(), watching + whole["seen"][2].sum()
         np.testing.assert_allclose(pair["weight"][2], np.where(pair["seen"][:, 2], pair["weight"][2], 0.0))
     assert watched * watching > 0
@@ -120,7 +120,7 @@ def test_a_dead_radio_neither_sends_nor_hears(flight):
         state = mute.state
         assert mute.infos["bytes_sent"][0, 2] == 0
         linked += plain.infos["bytes_sent"][0, 2] > 0
-        inbox, mail, pair = state.inbox[0], state.mail[0], state.pair[0]
+        inbox, mail, pair = state.inbox[0], state.unicast[0], state.pair[0]
         assert not (inbox["fresh"][2].any())
         assert not (inbox["fresh"][:, 2].any())
         assert not (mail["arrives"][:, 2].any())
@@ -129,7 +129,7 @@ def test_a_dead_radio_neither_sends_nor_hears(flight):
         assert not (pair["linked"][:, 2].any())
         if k > WHEN + 1:  # radio.memory
             assert (state.track["weight"][0, 2] == 0).all()
-        for name in ("seen", "watch", "weight"):
+        for name in ("seen", "f_star", "weight"):
             assert (pair[name] == plain.state.pair[name][0]).all()
         assert state.episode["lambda2"][0] == plain.state.episode["lambda2"][0]
     assert linked > 0
@@ -172,7 +172,7 @@ def test_pairs_that_sleep_have_nothing_to_do(kind):
     for action in actions(few(300, 12), 6):
         sleepy.step(action)
         awake.step(action)
-        assert set(differing(snapshot(sleepy, 0), snapshot(awake, 0))) <= {"pair.asleep", "pair.cosine"}
+        assert set(differing(snapshot(sleepy, 0), snapshot(awake, 0))) <= {"pair.idle_ticks", "pair.cosine"}
         if sleepy.over[0]:
             break
 
@@ -201,7 +201,7 @@ def test_a_dead_robot(flight):
         assert (dead.observations[0, [0, 1, 3, 4]] != 0).any(axis=1).all()
         assert info["alive"].tolist() == [1, 1, 0, 1, 1]
         assert info["bytes_sent"][2] == info["lambda2_hat"][2] == info["reward_effort"][2] == 0
-        for name in ("seen", "linked", "weight", "watch"):
+        for name in ("seen", "linked", "weight", "f_star"):
             assert not (pair[name][2].any())
             assert not (pair[name][:, 2].any())
         living = np.delete(np.delete(dead.adjacency()[0], 2, 0), 2, 1)

@@ -32,7 +32,7 @@ def standing(n_worlds=1, *, seed=0, poses=RING, **changes):
 def errors(simulator):
     """Reading minus truth of every sensor: by source, (B, ..., axes)."""
     state = simulator.state
-    body, own, sight = state.body, state.own, state.sight
+    body, own, sight = state.body, state.ego, state.sight
     x, y, z, yaw = (body[name] for name in ("x", "y", "z", "yaw"))
     dx, dy, dz = (a[:, None, :] - a[:, :, None] for a in (x, y, z))
     c, s = np.cos(yaw)[:, :, None], np.sin(yaw)[:, :, None]
@@ -140,7 +140,7 @@ def test_an_attitude_error_turns_what_the_camera_reports():
         simulator.step(idle)
         state, poses = simulator.state, simulator.poses()[0]
         for i in range(N):
-            wrong = ref.tilt(state.own["roll"][0, i], state.own["pitch"][0, i])
+            wrong = ref.tilt(state.ego["roll"][0, i], state.ego["pitch"][0, i])
             for j in np.flatnonzero(state.sight["seen"][0, i]):
                 p = ref.Rz(poses[i, 3]).T @ (poses[j, :3] - poses[i, :3])
                 np.testing.assert_allclose([state.sight[name][0, i, j] for name in "xyz"], wrong @ p, atol=1e-12)
@@ -236,7 +236,7 @@ def test_noise_does_not_shift_misses_and_losses():
         rows = []
         for _ in range(50):
             simulator.step(np.zeros((1, N, 4)))
-            rows.append((simulator.state.sight["seen"].copy(), simulator.state.mail["arrives"].copy()))
+            rows.append((simulator.state.sight["seen"].copy(), simulator.state.unicast["arrives"].copy()))
         return [np.array(column) for column in zip(*rows, strict=True)]
 
     seen, arrived = drops(Noise(), 0.3, 0.3)
@@ -275,7 +275,7 @@ def test_equal_seeds_give_equal_noise_and_other_keys_other_noise():
     readings = []
     for _ in range(3):  # the same start, seed after seed and unseeded: only the key differs
         one.reset(poses=two.poses()[0])
-        readings.append(one.state.own["vx"].copy())
+        readings.append(one.state.ego["vx"].copy())
     assert len({reading.tobytes() for reading in readings}) == 3
 
 

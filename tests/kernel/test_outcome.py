@@ -36,7 +36,7 @@ def lost_links(before, after):
         elif after["blocked"][i, j]:
             causes[i].add("occlusion")
         else:
-            causes[i].add("own field of view" if before["watch"][i, j] > 0 else "its field of view")
+            causes[i].add("own field of view" if before["f_star"][i, j] > 0 else "its field of view")
     return causes
 
 

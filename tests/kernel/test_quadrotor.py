@@ -20,7 +20,7 @@ MODEL = {
 }
 CALM, ROUGH = {}, {"rotor_noise": 0.01, "force_noise": 0.2}
 SHAKEN = {"rotor_noise": 0.05, "rotor_lag": 0.05}
-SEEN = "vx vy vz yaw_rate roll pitch ox oy oz".split()  # what the robot and its camera notice
+SEEN = "vx vy vz yaw_rate roll pitch axis_x axis_y axis_z".split()  # what the robot and its camera notice
 DIRECTIONS = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0.6, 0.8, 0), (0, 0, 1), (0, 0, -1), (0.64, -0.48, 0.6)]
 
 
@@ -33,7 +33,7 @@ def params(**changes):
 
 @entry
 def rest(body, flight, p):
-    quadrotor.hover(body[0], flight[0], p[0])
+    quadrotor.reset_quadrotor(body[0], flight[0], p[0])
 
 
 @entry
@@ -41,7 +41,7 @@ def follow(body, flight, p, key, commands, bodies, flights):
     for t in range(len(commands)):
         b, f = body[0], flight[0]
         b.command_vx, b.command_vy, b.command_vz, b.command_yaw_rate = commands[t]
-        quadrotor.fly(b, f, p[0], key, t, 3)
+        quadrotor.step_quadrotor(b, f, p[0], key, t, 3)
         bodies[t], flights[t] = body[0], flight[0]
 
 
@@ -51,8 +51,8 @@ def coast(flight, p, command, external, h, steps):
     x = y = z = 0.0
     c = (command[0], command[1], command[2], command[3])
     for _ in range(steps):
-        wrench = quadrotor.spin(flight[0], c, math.exp(-h / p[0].rotor_lag), p[0])
-        dx, dy, dz = quadrotor.move(flight[0], wrench, (external[0], external[1], external[2]), h, p[0])
+        wrench = quadrotor.step_rotors(flight[0], c, math.exp(-h / p[0].rotor_lag), p[0])
+        dx, dy, dz = quadrotor.integrate(flight[0], wrench, (external[0], external[1], external[2]), h, p[0])
         x, y, z = x + dx, y + dy, z + dz
     return x, y, z
 
@@ -60,7 +60,7 @@ def coast(flight, p, command, external, h, steps):
 @entry
 def tumble(flight, p, h, steps):
     for _ in range(steps):
-        quadrotor.move(flight[0], (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, -quadrotor.GRAVITY), h, p[0])
+        quadrotor.integrate(flight[0], (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, -quadrotor.GRAVITY), h, p[0])
 
 
 @entry
@@ -72,13 +72,13 @@ def given(flight, p, wrenches, commands, results):
         commands[i] = c0, c1, c2, c3
         r = flight[0]
         r.rotor0, r.rotor1, r.rotor2, r.rotor3 = c0, c1, c2, c3
-        results[i] = quadrotor.spin(r, (c0, c1, c2, c3), 0.0, p[0])
+        results[i] = quadrotor.step_rotors(r, (c0, c1, c2, c3), 0.0, p[0])
 
 
 @entry
 def aimed(body, flight, force, jerk, q, omega):
     u, du = (force[0], force[1], force[2]), (jerk[0], jerk[1], jerk[2])
-    q[:], omega[:] = quadrotor.aim(body[0], flight[0], u, du)
+    q[:], omega[:] = quadrotor.desired_attitude(body[0], flight[0], u, du)
 
 
 @entry
@@ -87,21 +87,21 @@ def shaped(body, flight, p, commands, found):
     for t in range(len(commands)):
         b, f = body[0], flight[0]
         b.command_vx, b.command_vy, b.command_vz = commands[t]
-        quadrotor.shape(b, f, p[0])
-        quadrotor.advance(b, f, p[0])
+        quadrotor.update_reference(b, f, p[0])
+        quadrotor.propagate_reference(b, f, p[0])
         found[t] = f.rx, f.ry, f.rz, f.ax, f.ay, f.az
 
 
 @entry
 def steered(flight, p, goal, omega, torque):
     q = (goal[0], goal[1], goal[2], goal[3])
-    torque[:] = quadrotor.steer(flight[0], q, (omega[0], omega[1], omega[2]), p[0])
+    torque[:] = quadrotor.attitude_control(flight[0], q, (omega[0], omega[1], omega[2]), p[0])
 
 
 @entry
 def disturbed(bits, noise, found):
     for i in range(len(bits)):
-        found[i] = quadrotor.disturb((1.0, 1.0, 1.0, 1.0), noise, bits[i])
+        found[i] = quadrotor.add_rotor_noise((1.0, 1.0, 1.0, 1.0), noise, bits[i])
 
 
 @entry
@@ -362,7 +362,7 @@ def test_outputs_agree_with_the_attitude_and_the_track():
         np.testing.assert_allclose(euler(b.roll, b.pitch, b.yaw), matrix(flights[t]), atol=1e-12)
         np.testing.assert_allclose([b.cos_yaw, b.sin_yaw], [math.cos(b.yaw), math.sin(b.yaw)], atol=1e-12)
         axis = np.array([0.8, 0.36, -0.48])
-        np.testing.assert_allclose([b.ox, b.oy, b.oz], tilted(axis, b.roll, b.pitch), atol=1e-12)
+        np.testing.assert_allclose([b.axis_x, b.axis_y, b.axis_z], tilted(axis, b.roll, b.pitch), atol=1e-12)
         north = b.cos_yaw * b.vx - b.sin_yaw * b.vy, b.sin_yaw * b.vx + b.cos_yaw * b.vy, b.vz
         np.testing.assert_allclose(north, [flights[t].vx, flights[t].vy, flights[t].vz], atol=1e-12)
     dt = MODEL["tick"]

@@ -97,17 +97,17 @@ def test_gradient_is_the_papers_formula(kind):
 # ------------------------------------------------------------------------------------------------------- camera
 @entry
 def look_at(bodies, pairs, near, count, piece, vertex, p):
-    return camera.look(bodies, pairs, near, count, piece, vertex, p[0])
+    return camera.update_pairs(bodies, pairs, near, count, piece, vertex, p[0])
 
 
 @entry
 def list_near(bodies, order, who, whom, contacts, near, p):
-    return camera.list_near(bodies, order, who, whom, contacts, near, p[0])
+    return camera.broad_phase(bodies, order, who, whom, contacts, near, p[0])
 
 
 @entry
 def muster(pairs, who, whom, first, p):
-    camera.muster(pairs, who, whom, first, p[0])
+    camera.build_contacts(pairs, who, whom, first, p[0])
 
 
 def look(bodies, pairs, piece, vertex, p):
@@ -118,11 +118,13 @@ def look(bodies, pairs, piece, vertex, p):
 @entry
 def see(bodies, pairs, own, sights, p):
     for i in range(len(bodies)):
-        camera.feel(bodies[i], own[i], i, np.uint64(1), 0, p[0])
+        camera.measure_ego_motion(bodies[i], own[i], i, np.uint64(1), 0, p[0])
         for j in range(len(bodies)):
             if j != i:
                 index = i * len(bodies) + j
-                camera.see(bodies[i], bodies[j], pairs[i, j], own[i], sights[i, j], index, np.uint64(1), 0, p[0])
+                camera.measure_relative_position(
+                    bodies[i], bodies[j], pairs[i, j], own[i], sights[i, j], index, np.uint64(1), 0, p[0]
+                )
 
 
 @pytest.mark.parametrize("tilt", TILTS)
@@ -183,9 +185,9 @@ def test_a_large_team_is_looked_at_without_visiting_all_pairs(n):
         most = max(most, count if tick > rest else 0)
         look(again, reference, *NOTHING, params)
         assert (bodies == again).all()
-        for name in ("seen", "linked", "asleep"):
+        for name in ("seen", "linked", "idle_ticks"):
             assert (pairs[name] == reference[name]).all(), name
-        awake = reference["asleep"] < rest
+        awake = reference["idle_ticks"] < rest
         for name in ("distance", "cosine", "blocked"):
             assert (pairs[name][awake] == reference[name][awake]).all(), name
     assert most == all_pairs if n == 5 else most < 0.6 * all_pairs
@@ -204,7 +206,7 @@ def test_see_without_noise(tilt):
     for _ in range(few(100, 10)):
         team = draw_team(rng, 5, tilt=tilt)
         bodies, pairs = bodies_of(team, scenario.camera), np.zeros((5, 5), records.PAIR)
-        own, sights = np.zeros(5, records.OWN), np.zeros((5, 5), records.SIGHT)
+        own, sights = np.zeros(5, records.EGO), np.zeros((5, 5), records.SIGHT)
         look(bodies, pairs, *NOTHING, scenario.params())
         see(bodies, pairs, own, sights, scenario.params())
         for name in MOTION:
@@ -225,7 +227,7 @@ def test_see_with_a_wrong_attitude():
     for _ in range(few(50, 8)):
         team = draw_team(rng, 5, tilt=0.3)
         bodies, pairs = bodies_of(team, scenario.camera), np.zeros((5, 5), records.PAIR)
-        own, sights = np.zeros(5, records.OWN), np.zeros((5, 5), records.SIGHT)
+        own, sights = np.zeros(5, records.EGO), np.zeros((5, 5), records.SIGHT)
         look(bodies, pairs, *NOTHING, scenario.params())
         see(bodies, pairs, own, sights, noisy)
         assert (np.abs(own["roll"] - bodies["roll"]) > 1e-4).any()
@@ -321,10 +323,10 @@ def test_fiedler_of_special_graphs(n):
 # ------------------------------------------------------------------------------------- model, commands, ranges
 @entry
 def drive(body, action, stick, p, ticks):
-    kinematics.command(body[0], action, stick[0], stick[1], stick[2], p[0])
-    kinematics.steady(body[0], p[0])
+    kinematics.set_command(body[0], action, stick[0], stick[1], stick[2], p[0])
+    kinematics.cache_half_turn(body[0], p[0])
     for _ in range(ticks):
-        kinematics.glide(body[0], p[0])
+        kinematics.step_kinematic(body[0], p[0])
 
 
 def test_glide():

@@ -18,8 +18,8 @@ pytestmark = pytest.mark.nojit
 # ------------------------------------------------------------------------------------------------- relative yaw
 @entry
 def estimate(track, sight, own, box, p):
-    relative_yaw.reckon(own[0], p[0])
-    relative_yaw.attend(track[0], sight[0], own[0], p[0])
+    relative_yaw.dead_reckon(own[0], p[0])
+    relative_yaw.update_track(track[0], sight[0], own[0], p[0])
     relative_yaw.estimate_yaw(track[0], sight[0], own[0], box[0], p[0])
 
 
@@ -44,7 +44,7 @@ class Duel:
         self.i, self.j = self.move(self.i, v_i, w_i), self.move(self.j, v_j, w_j)
         p_ij, p_ji = ref.relative(self.i, self.j), ref.relative(self.j, self.i)
         sight = filled(records.SIGHT, 1, seen=sees, **dict(zip("xyz", p_ij, strict=True)))
-        own = filled(records.OWN, 1, yaw_rate=w_i, **dict(zip(("vx", "vy", "vz"), v_i, strict=True)))
+        own = filled(records.EGO, 1, yaw_rate=w_i, **dict(zip(("vx", "vy", "vz"), v_i, strict=True)))
         self.box["age"] = 0.0 if told else np.minimum(self.box["age"] + dt, self.scenario.radio.memory)
         if told:
             said = {
@@ -206,20 +206,20 @@ def message_round(beliefs, tracks, post, mail, inboxes, contacts, own, p):
     n = beliefs.shape[0]
     for i in range(n):
         for j in contacts:
-            radio.receive(post[j], mail[j, i], inboxes[i, j], True, p[0])
-            power_iteration.agree(tracks[i, j], mail[i, j], inboxes[i, j], p[0])
+            radio.receive_message(post[j], mail[j, i], inboxes[i, j], True, p[0])
+            power_iteration.agree_weight(tracks[i, j], mail[i, j], inboxes[i, j], p[0])
     for i in range(n):
         power_iteration.power_round(beliefs[i], tracks[i], post[i], inboxes[i], contacts, p[0])
-        power_iteration.conclude(beliefs[i], n)
+        power_iteration.read_estimate(beliefs[i], n)
     for i in range(n):
         speak(post, mail, own, tracks, beliefs, i)
 
 
 @kernel
 def speak(post, mail, own, tracks, beliefs, i):
-    radio.announce(post[i], own[i], beliefs[i])
+    radio.write_broadcast(post[i], own[i], beliefs[i])
     for j in range(len(beliefs)):
-        radio.address(mail[i, j], tracks[i, j])
+        radio.write_unicast(mail[i, j], tracks[i, j])
 
 
 class Talk:
@@ -229,8 +229,8 @@ class Talk:
         n = self.n = len(x)
         self.scenario, self.p = scenario, scenario.params()
         self.beliefs = filled(records.BELIEF, n, x=x, y1=x, y2=x * x)
-        self.tracks, self.own = np.zeros((n, n), records.TRACK), np.zeros(n, records.OWN)
-        self.post, self.mail = np.zeros(n, records.POST), np.zeros((n, n), records.MAIL)
+        self.tracks, self.own = np.zeros((n, n), records.TRACK), np.zeros(n, records.EGO)
+        self.post, self.mail = np.zeros(n, records.BROADCAST_RECORD), np.zeros((n, n), records.UNICAST_RECORD)
         self.inboxes = filled(records.INBOX, (n, n), age=scenario.radio.memory)
 
     def look(self, f, gamma):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fovconn_env import LEVELS, Corridor, Course, Simulator, scenario
-from fovconn_env.sim.starts import Scout
+from fovconn_env.sim.starts import StartSampler
 
 LEVEL = range(1, len(LEVELS["Corridor-v0"]) + 2)
 
@@ -23,7 +23,7 @@ def frame(start):
 @pytest.mark.parametrize("seed", range(8))
 def test_the_course_leads_through_the_gap(level, seed):
     chosen = scenario("Corridor-v0", level=level)
-    start = Scout(chosen).draw(np.random.default_rng(seed))
+    start = StartSampler(chosen).draw(np.random.default_rng(seed))
     local, corridor, clearance = frame(start), chosen.map, chosen.start.clearance
     (a, b), (c, d) = local(start.vertices[:2]), local(start.vertices[2:])
     wall = a[0]
@@ -41,14 +41,14 @@ def test_the_course_leads_through_the_gap(level, seed):
 
 def test_the_team_is_wider_than_the_gap():
     for level in LEVEL:
-        scout = Scout(scenario("Corridor-v0", level=level))
+        scout = StartSampler(scenario("Corridor-v0", level=level))
         starts = [scout.draw(np.random.default_rng(seed)) for seed in range(16)]
         widths = [np.ptp(frame(start)(start.poses)[:, 1]) for start in starts]
         assert np.mean(widths) > scout.scenario.map.width[1] + 1.0
 
 
 def test_every_episode_has_a_wall_of_its_own():
-    scout = Scout(scenario("Corridor-v0"))
+    scout = StartSampler(scenario("Corridor-v0"))
     starts = [scout.draw(np.random.default_rng(seed)) for seed in (0, 1)]
     assert not np.array_equal(*(start.vertices for start in starts))
     again = scout.draw(np.random.default_rng(0))

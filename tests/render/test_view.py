@@ -245,7 +245,7 @@ def test_sizes_themes_and_cameras(size, camera, theme):
 @pytest.mark.parametrize("poses, mutual", [(FACES, True), (CHASE, False)], ids=["see each other", "one sees the other"])
 def test_links_have_the_colour_of_their_sight(poses, mutual, theme):
     simulator = started(n_agents=2, poses=poses, patience=1e3)
-    watch = simulator.state.pair["watch"][0]
+    watch = simulator.state.pair["f_star"][0]
     assert (watch[0, 1] > 0, watch[1, 0] > 0) == (True, mutual)
     view = View(simulator.scenario, theme=theme, look=Look(trails=False))
     image = world_of(view, pixels(view.draw(simulator)))

@@ -10,7 +10,7 @@ import pytest
 
 import fovconn_env
 from fovconn_env import LEVELS, PRESETS, Map, Scenario, Simulator, scenario
-from fovconn_env.sim.starts import Scout, check_room
+from fovconn_env.sim.starts import StartSampler, check_room
 from fovconn_env.training.evaluation import evaluate
 from fovconn_env.training.evaluation.flights import SHARES
 
@@ -29,14 +29,14 @@ def test_every_level_starts_as_its_settings_say(name, level):
     simulator.reset(0)
     low, high = chosen.start.lambda2_low, chosen.start.lambda2_high
     for b in range(simulator.n_worlds):
-        start = Scout(chosen).draw(np.random.default_rng(b))
+        start = StartSampler(chosen).draw(np.random.default_rng(b))
         gaps = np.linalg.norm(start.poses[:, None, :3] - start.poses[None, :, :3], axis=-1)
         assert gaps[~np.eye(chosen.n_agents, dtype=bool)].min() >= chosen.start.spacing
         obstacles = drawn(start)
         points = np.vstack([start.poses[:, :3], start.waypoints])
         assert obstacles.clearance(points).min() >= chosen.start.clearance - 1e-6
         check_room(start.poses, obstacles, chosen)
-        lambda2, _ = Scout(chosen).assess(start.poses, obstacles)
+        lambda2, _ = StartSampler(chosen).assess(start.poses, obstacles)
         assert low < lambda2 < high
         assert len(start.waypoints) == (0 if chosen.leader == "none" else chosen.course.legs)
         np.testing.assert_array_equal(start.poses, simulator.poses()[b])

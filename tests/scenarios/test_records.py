@@ -149,8 +149,12 @@ def test_settings_used_at_reset_exist():
 
 
 def test_records_fit_the_layout():
-    kinds = (records.POST, layout.BROADCAST), (records.MAIL, layout.NOTE), (records.INBOX, layout.MESSAGE)
-    for kind, table in (*kinds, (records.TALLY, layout.INFO)):
+    kinds = (
+        (records.BROADCAST_RECORD, layout.BROADCAST),
+        (records.UNICAST_RECORD, layout.NOTE),
+        (records.INBOX, layout.MESSAGE),
+    )
+    for kind, table in (*kinds, (records.INFO_RECORD, layout.INFO)):
         assert {column.name for column in table} <= set(kind.names)
     for table in (layout.SELF, layout.NEIGHBOR, layout.RANGE, layout.ACTION, layout.MESSAGE, layout.STATE, layout.INFO):
         names = [column.name for column in table]

@@ -366,8 +366,8 @@ def test_messages_are_lost_as_often_as_told():
         still(simulator)
         still(free)
         order = np.argsort((np.arange(10) - simulator.state.episode["n_rounds"][0]) % 10)  # oldest first
-        sent.append(simulator.state.mail["sent"][0, order])
-        arrived.append(simulator.state.mail["arrives"][0, order])
+        sent.append(simulator.state.unicast["sent"][0, order])
+        arrived.append(simulator.state.unicast["arrives"][0, order])
         np.testing.assert_array_equal(simulator.infos["bytes_sent"], free.infos["bytes_sent"])  # lost ones count
     sent, arrived = np.concatenate(sent), np.concatenate(arrived)
     pairs = ~np.eye(6, dtype=bool)

@@ -119,7 +119,7 @@ def test_edges_follow_the_true_links_while_nothing_moves(name):
         np.testing.assert_allclose(
             column(graph, "distance"), np.linalg.norm((poses[j] - poses[i])[:, :3], axis=1), atol=1e-5
         )
-        watch = env.simulator.state.pair["watch"][0]
+        watch = env.simulator.state.pair["f_star"][0]
         np.testing.assert_allclose(column(graph, "f_ij"), watch[i, j], atol=1e-5)
         np.testing.assert_allclose(column(graph, "f_ji"), watch[j, i], atol=1e-5)
         one_way += int(((watch[i, j] > 0) & (watch[j, i] == 0)).sum())

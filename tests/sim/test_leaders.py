@@ -48,7 +48,7 @@ def check_shown(simulator, robot, b=0):
 def _sticks(keys, times, params, out):
     for k in range(keys.shape[0]):
         for t in range(times.shape[0]):
-            out[k, t, 0], out[k, t, 1], out[k, t, 2] = operator.wander(keys[k], times[t], params[0])
+            out[k, t, 0], out[k, t, 1], out[k, t, 2] = operator.random_stick(keys[k], times[t], params[0])
 
 
 def random_sticks(settings, n_keys, duration):

@@ -14,7 +14,7 @@ from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios.settings import Airframe, Camera, Clock, Course, Noise, Radio
 from fovconn_env.sim.memory import NO_ACTIONS
 from fovconn_env.sim.simulator import Simulator
-from fovconn_env.sim.starts import Start
+from fovconn_env.sim.starts import EpisodeStart
 from tests import reference as ref
 from tests.helpers import contents, differing, draw_team, few, fiedler, recorded_actions, small, snapshot
 
@@ -79,7 +79,7 @@ def test_true_graph(changes):
 
 
 # ------------------------------------------------------------------------------------------------ no names: labels
-PER_ROBOT = "body flight own belief fiedler info reward flat".split()
+PER_ROBOT = "body flight ego belief fiedler info reward flat".split()
 PER_PAIR = "pair sight inbox track".split()
 FLOODING = {"lambda2": "flooding"}
 
@@ -93,8 +93,8 @@ def relabel(simulator, order):
     for name in PER_PAIR:
         array = getattr(state, name)
         array[:] = array[:, order][:, :, order].copy()
-    state.post[:] = state.post[:, :, order].copy()
-    state.mail[:] = state.mail[:, :, order][:, :, :, order].copy()
+    state.broadcast[:] = state.broadcast[:, :, order].copy()
+    state.unicast[:] = state.unicast[:, :, order][:, :, :, order].copy()
     if simulator.scenario.lambda2 == "flooding":
         entries = [*order, len(order)]  # and the tick
         state.table[:] = state.table[:, order][:, :, order][..., entries].copy()
@@ -170,7 +170,7 @@ def test_a_message_arrives_in_a_later_round(delay, rounds):
         action[..., 0] = 0.01 * (k + 1)
         simulator.step(action)
         # the rounds of this tick deliver what was written `delay` rounds before
-        spoken += [simulator.state.own["vx"][0].copy()] * rounds
+        spoken += [simulator.state.ego["vx"][0].copy()] * rounds
         inbox = simulator.state.inbox[0]
         for i, j in zip(*np.nonzero(inbox["fresh"]), strict=True):
             if len(spoken) > delay:
@@ -219,7 +219,7 @@ def start_of(simulator):
     world = simulator.world
     piece = world.piece[0][world.piece[0]["count"] > 0]
     waypoints = world.waypoint[0, : world.n_waypoints[0]].copy()
-    return Start(simulator.poses()[0], waypoints, piece, world.vertex[0].copy())
+    return EpisodeStart(simulator.poses()[0], waypoints, piece, world.vertex[0].copy())
 
 
 def turned(start, angle, shift):
@@ -229,13 +229,13 @@ def turned(start, angle, shift):
     poses[:, 3] += angle
     pieces["low"] += shift[2]
     pieces["high"] += shift[2]
-    return Start(poses, start.waypoints @ R.T + shift, pieces, start.vertices @ R[:2, :2].T + shift[:2])
+    return EpisodeStart(poses, start.waypoints @ R.T + shift, pieces, start.vertices @ R[:2, :2].T + shift[:2])
 
 
 def difference(a, b):
     """Largest difference of the observations (float32), and of what stands behind them (float64)."""
     differences = [np.abs(a.observations - b.observations).max(), np.abs(a.rewards - b.rewards).max()]
-    for name in ("own", "belief", "info"):
+    for name in ("ego", "belief", "info"):
         x, y = getattr(a.state, name), getattr(b.state, name)
         differences += [np.abs(x[field] - y[field]).max() for field in x.dtype.names]
     return max(differences)
@@ -285,7 +285,7 @@ def test_turning_and_shifting_the_world_changes_nothing(case, angle, shift):
 
 
 # ---------------------------------------------------------------------------------------------------- no telepathy
-ON_BOARD = "own sight inbox track belief table mode flat".split()
+ON_BOARD = "ego sight inbox track belief table mode flat".split()
 
 
 def on_board(simulator, i):
@@ -301,7 +301,7 @@ def position(simulator, k):
 def scramble(simulator, k, rng, away):
     """Put robot k somewhere else, in another state, with other beliefs."""
     state = simulator.state
-    for name in ("own", "belief"):
+    for name in ("ego", "belief"):
         array = getattr(state, name)
         for field in array.dtype.names:
             array[field][0, k] = rng.random()
@@ -334,7 +334,7 @@ def test_a_robot_out_of_touch_changes_nothing(case):
         for action in recorded_actions(few(5, 2), 6, seed=seed):
             simulator.step(action)
         action, state = recorded_actions(1, 6, seed=100 + seed)[0], simulator.state
-        mute = ~(state.pair["linked"][0] | state.inbox["fresh"][0] | state.mail["arrives"][0, 0])
+        mute = ~(state.pair["linked"][0] | state.inbox["fresh"][0] | state.unicast["arrives"][0, 0])
         for i, k in np.argwhere(mute & (state.pair["distance"][0] > 4.0))[: few(30, 4)]:
             plain, other = copy.deepcopy(simulator), copy.deepcopy(simulator)
             scramble(other, k, rng, position(simulator, k) + np.array([60.0, 0.0, 20.0]))
@@ -359,13 +359,13 @@ def test_pairs_that_sleep_have_nothing_to_do(changes):
     awake.params["rest_ticks"] = 10**9
     slept = woke = 0
     for action in recorded_actions(few(400, 6), 6, size=1.0):
-        before = sleepy.state.pair["asleep"] == sleepy.params["rest_ticks"]
+        before = sleepy.state.pair["idle_ticks"] == sleepy.params["rest_ticks"]
         for simulator in (sleepy, awake):
             simulator.step(action)
-        asleep = sleepy.state.pair["asleep"] == sleepy.params["rest_ticks"]
+        asleep = sleepy.state.pair["idle_ticks"] == sleepy.params["rest_ticks"]
         slept, woke = slept + (asleep & ~before).sum(), woke + (before & ~asleep).sum()
         apart = set(differing(snapshot(sleepy, 0), snapshot(awake, 0)))
-        assert apart <= {"pair.asleep", "pair.cosine"}, apart  # nobody reads the cosine of a pair out of reach
+        assert apart <= {"pair.idle_ticks", "pair.cosine"}, apart  # nobody reads the cosine of a pair out of reach
         if sleepy.over[0]:
             break
     assert min(slept, woke) > few(5, -1)
@@ -386,23 +386,23 @@ def test_a_robot_in_touch_does_change_something():
 
 # ------------------------------------------------------------------------------- decentralised by the signatures
 ONBOARD = [
-    relative_yaw.reckon,
-    relative_yaw.attend,
+    relative_yaw.dead_reckon,
+    relative_yaw.update_track,
     relative_yaw.estimate_yaw,
-    power_iteration.awaken,
+    power_iteration.init_estimate,
     power_iteration.agreed_weight,
-    power_iteration.agree,
+    power_iteration.agree_weight,
     power_iteration.power_round,
-    power_iteration.conclude,
-    flooding.enter,
-    flooding.put,
-    flooding.merge,
-    flooding.assemble,
-    flooding.solve,
-    radio.announce,
-    radio.address,
-    observation.observe_self,
-    observation.observe_neighbors,
+    power_iteration.read_estimate,
+    flooding.write_own_row,
+    flooding.copy_table,
+    flooding.merge_table,
+    flooding.build_laplacian,
+    flooding.solve_table,
+    radio.write_broadcast,
+    radio.write_unicast,
+    observation.write_self,
+    observation.write_neighbors,
 ]
 TRUTH = {"body", "bodies", "pair", "pairs", "flight", "flights", "world", "state", "piece", "vertex", "info", "infos"}
 
@@ -423,8 +423,8 @@ def test_on_board_kernels_cannot_reach_the_truth(function):
 def test_on_board_kernels_get_one_robots_slices():
     """In step.py, each call of an on-board kernel hands over records indexed by the robot, never the arrays of all."""
     names = {plain(function).__name__ for function in ONBOARD}
-    arrays = {"bodies", "pairs", "own", "sights", "tracks", "beliefs", "inboxes", "post", "mail"}
-    arrays |= {"own_rows", "neighbor_rows", "who", "whom", "tables", "air", "modes"}
+    arrays = {"bodies", "pairs", "ego", "sights", "tracks", "beliefs", "inboxes", "broadcast", "unicast"}
+    arrays |= {"own_rows", "neighbor_rows", "row", "col", "tables", "air", "modes"}
     called = set()
     for node in ast.walk(ast.parse(inspect.getsource(step))):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in names:

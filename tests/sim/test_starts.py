@@ -147,7 +147,7 @@ def check(seed):
     task, counting = random_task(rng), Counting(seed)
     found, said = None, KNOWN[0]
     try:
-        found = starts.Scout(task).draw(counting)
+        found = starts.StartSampler(task).draw(counting)
     except ValueError as problem:
         said = str(problem)
     assert counting.count <= most_draws(task)
@@ -195,5 +195,5 @@ def test_what_leaves_no_room_ends_soon(changes, message, monkeypatch):
     monkeypatch.setattr(starts, "MAX_TRIES", 50)  # the bound is what is tested, not its size
     task, counting = scenario(**changes), Counting(0)
     with pytest.raises(ValueError, match=message):
-        starts.Scout(task).draw(counting)
+        starts.StartSampler(task).draw(counting)
     assert counting.count <= most_draws(task)

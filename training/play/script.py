@@ -12,5 +12,5 @@ def script_stick(simulator: Simulator) -> np.ndarray:
     """The stick (3,), m/s in the leader's yaw frame, that a `leader="waypoints"` would push in the next step."""
     params, episodes, world = simulator.params.copy(), simulator.state.episode.copy(), simulator.world
     params["leader"] = operator.WAYPOINTS
-    operator.resteer(simulator.state.body, world.waypoint, world.n_waypoints, world.stick, episodes, params)
+    operator.reset_sticks(simulator.state.body, world.waypoint, world.n_waypoints, world.stick, episodes, params)
     return np.array([episodes[f"stick_{axis}"][0] for axis in "xyz"])

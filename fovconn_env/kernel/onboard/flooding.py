@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from fovconn_env.kernel.jit import kernel
 from fovconn_env.kernel.maths.spectrum import fiedler
-from fovconn_env.kernel.onboard.power_iteration import know
+from fovconn_env.kernel.onboard.power_iteration import set_estimate
 
 
 @kernel
-def enter(table, tracks, i, tick):
+def write_own_row(table, tracks, i, tick):
     """Write robot i's links, as both ends agree on them, into its own row of its table."""
     n = tracks.shape[0]
     for j in range(n):
@@ -21,7 +21,7 @@ def enter(table, tracks, i, tick):
 
 
 @kernel
-def put(air, table):
+def copy_table(air, table):
     """Copy a robot's table to the air: what the robot learns after that does not travel with it."""
     for k in range(table.shape[0]):
         for m in range(table.shape[1]):
@@ -29,7 +29,7 @@ def put(air, table):
 
 
 @kernel
-def merge(table, heard):
+def merge_table(table, heard):
     """Take over the rows of a table heard that are newer than one's own; nothing is newer than the own row."""
     n = table.shape[0]
     for k in range(n):
@@ -39,14 +39,14 @@ def merge(table, heard):
 
 
 @kernel
-def heard_of(row, now, p):
+def is_fresh(row, now, p):
     """Whether a row of a table counts in tick `now`: its robot has written it, and not too long ago."""
     written = row[row.shape[0] - 1]
     return written > 0.0 and (now - written) * p.tick <= p.flooding_memory + 1e-9
 
 
 @kernel
-def assemble(table, laplacian, now, p):
+def build_laplacian(table, laplacian, now, p):
     """Write the Laplacian (N, N) of the team as a table has it; who is not heard of counts as gone and has no link.
 
     Of the two rows that tell of a link the newer one holds.
@@ -56,7 +56,7 @@ def assemble(table, laplacian, now, p):
         laplacian[k, k] = 0.0
         for m in range(k):
             weight = 0.0
-            if heard_of(table[k], now, p) and heard_of(table[m], now, p):
+            if is_fresh(table[k], now, p) and is_fresh(table[m], now, p):
                 weight = table[k, m] if table[k, n] > table[m, n] else table[m, k]
             laplacian[k, m] = laplacian[m, k] = -weight
             laplacian[k, k] += weight
@@ -64,10 +64,10 @@ def assemble(table, laplacian, now, p):
 
 
 @kernel
-def solve(belief, v2, laplacian, scratch, i):
+def solve_table(belief, v2, laplacian, scratch, i):
     """Robot i's estimates, from the Laplacian of its table, which is destroyed; v2 (N,) keeps its eigenvector.
 
     Eigenvectors of different robots may differ in sign: compare entries of one only.
     """
     lambda2 = fiedler(laplacian, v2, scratch)
-    know(belief, lambda2, v2[i], v2.shape[0])
+    set_estimate(belief, lambda2, v2[i], v2.shape[0])

@@ -10,7 +10,7 @@ from fovconn_env.kernel.jit import kernel
 
 
 @kernel
-def tell_beats(air, beats, i, tick):
+def send_beats(air, beats, i, tick):
     """Robot i is there; what it knows of all beats goes on the air."""
     beats[i] = tick
     for k in range(beats.shape[0]):
@@ -18,14 +18,14 @@ def tell_beats(air, beats, i, tick):
 
 
 @kernel
-def hear_beats(beats, heard):
+def merge_beats(beats, heard):
     """Take over what is newer."""
     for k in range(beats.shape[0]):
         beats[k] = max(beats[k], heard[k])
 
 
 @kernel
-def share_there(beats, now, p):
+def live_share(beats, now, p):
     """Share of the team that robot i has had word of within `liveness`, itself included; nobody is missed earlier."""
     there = 0
     for k in range(beats.shape[0]):

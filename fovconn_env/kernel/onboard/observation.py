@@ -9,10 +9,10 @@ from fovconn_env.kernel.onboard.power_iteration import FLOODING
 
 
 @kernel
-def observe_self(row, own, belief, share, is_leader, stick_x, stick_y, stick_z):
+def write_self(row, ego, belief, share, is_leader, stick_x, stick_y, stick_z):
     """Fill robot i's SELF row; the stick (m/s) reaches the leader alone."""
-    row.vx, row.vy, row.vz, row.yaw_rate = own.vx, own.vy, own.vz, own.yaw_rate
-    row.roll, row.pitch = own.roll, own.pitch
+    row.vx, row.vy, row.vz, row.yaw_rate = ego.vx, ego.vy, ego.vz, ego.yaw_rate
+    row.roll, row.pitch = ego.roll, ego.pitch
     row.lambda2_hat, row.v2_hat = belief.lambda2_hat, belief.v2_hat
     row.team_share = share
     row.is_leader = 1.0 if is_leader else 0.0
@@ -22,7 +22,7 @@ def observe_self(row, own, belief, share, is_leader, stick_x, stick_y, stick_z):
 
 
 @kernel
-def observe_neighbors(rows, tracks, heard, belief, mode, contacts, p):
+def write_neighbors(rows, tracks, heard, belief, mode, contacts, p):
     """Fill robot i's neighbour rows, (M,) NEIGHBOR, nearest first; returns how many neighbours found no row.
 
     mode: its eigenvector (N,), where it has one.
@@ -43,10 +43,10 @@ def observe_neighbors(rows, tracks, heard, belief, mode, contacts, p):
                     nearest, least = j, d
         if nearest < 0:
             if rows[k].present > 0.0:
-                _clear(rows[k])
+                _clear_row(rows[k])
             continue
         last, last_distance = nearest, least
-        _describe(rows[k], tracks[nearest], heard[nearest], root, p)
+        _write_neighbor(rows[k], tracks[nearest], heard[nearest], root, p)
         if p.lambda2 == FLOODING:
             rows[k].v2_hat = mode[nearest]  # what the neighbour says is of an eigenvector with a sign of its own
     return max(present - rows.shape[0], 0)
@@ -61,7 +61,7 @@ def clip(flat, low, high):
 
 
 @kernel
-def _describe(row, track, heard, root, p):
+def _write_neighbor(row, track, heard, root, p):
     row.present = 1.0
     row.f_ij, row.f_ji = track.f, heard.f
     c, s = track.cos_used, track.sin_used
@@ -83,7 +83,7 @@ def _describe(row, track, heard, root, p):
 
 
 @kernel
-def _clear(row):
+def _clear_row(row):
     row.present = row.f_ij = row.f_ji = row.bearing_x = row.bearing_y = row.bearing_z = row.distance = 0.0
     row.cos_yaw = row.sin_yaw = row.yaw_valid = row.vx = row.vy = row.vz = row.yaw_rate = 0.0
     row.roll = row.pitch = row.v2_hat = row.lambda2_hat = row.weight = row.age = 0.0

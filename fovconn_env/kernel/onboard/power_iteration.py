@@ -18,7 +18,7 @@ LIMIT = 1e4
 
 
 @kernel
-def awaken(belief, x):
+def init_estimate(belief, x):
     """Start robot i's estimator from a random entry x of the eigenvector; x = 0 for all would stay 0."""
     belief.x = belief.y1 = x
     belief.y2 = x * x
@@ -44,7 +44,7 @@ def agreed_weight(said, heard, p):
 
 
 @kernel
-def agree(track, said, heard, p):
+def agree_weight(track, said, heard, p):
     """Bring robot i's weight of its link to j up to date: its own note to j, and the message that met it."""
     if heard.news:
         track.weight = agreed_weight(said, heard, p)
@@ -95,14 +95,14 @@ def rayleigh(y2, y3, n):
 
 
 @kernel
-def conclude(belief, n):
+def read_estimate(belief, n):
     """Robot i's estimates of lambda2 and of its entry of v2, from its state; n robots."""
     belief.lambda2_hat = rayleigh(belief.y2, belief.y3, n)
     belief.v2_hat = belief.x / math.sqrt(n * max(belief.y2, 1e-6))
 
 
 @kernel
-def know(belief, lambda2, v2, n):
+def set_estimate(belief, lambda2, v2, n):
     """Put a lambda2 and an entry of v2 from elsewhere into robot i's belief, in the form its messages carry."""
     belief.x = v2 * math.sqrt(n)
     belief.y2, belief.y3 = 1.0, lambda2

@@ -26,18 +26,18 @@ def turned(c, s, angle):
 
 
 @kernel
-def reckon(own, p):
+def dead_reckon(ego, p):
     """What follows for this tick from robot i's odometry and IMU: its turn and way since the last, its optical axis."""
-    own.turn_cos, own.turn_sin = turned(1.0, 0.0, -own.yaw_rate * p.tick)
-    x, y = turned(own.vx, own.vy, -0.5 * own.yaw_rate * p.tick)
-    own.shift_x, own.shift_y = p.tick * x, p.tick * y
-    own.ox, own.oy, own.oz = p.axis_x, p.axis_y, p.axis_z
-    if own.roll != 0.0 or own.pitch != 0.0:
-        own.ox, own.oy, own.oz = tilt(p.axis_x, p.axis_y, p.axis_z, own.roll, own.pitch)
+    ego.turn_cos, ego.turn_sin = turned(1.0, 0.0, -ego.yaw_rate * p.tick)
+    x, y = turned(ego.vx, ego.vy, -0.5 * ego.yaw_rate * p.tick)
+    ego.shift_x, ego.shift_y = p.tick * x, p.tick * y
+    ego.axis_x, ego.axis_y, ego.axis_z = p.axis_x, p.axis_y, p.axis_z
+    if ego.roll != 0.0 or ego.pitch != 0.0:
+        ego.axis_x, ego.axis_y, ego.axis_z = tilt(p.axis_x, p.axis_y, p.axis_z, ego.roll, ego.pitch)
 
 
 @kernel
-def attend(track, sight, own, p):
+def update_track(track, sight, ego, p):
     """Take over what the camera says about one robot: position, f*_ij (10) and gamma_ij (9) of it.
 
     A robot that was missed counts as still held for `coast` seconds, with its last values.
@@ -53,12 +53,12 @@ def attend(track, sight, own, p):
     distance = max(math.sqrt(x * x + y * y + z * z), 1e-9)
     track.held, track.unseen = True, 0.0
     track.x, track.y, track.z, track.distance = x, y, z, distance
-    track.f = sight_weight((own.ox * x + own.oy * y + own.oz * z) / distance, p)
+    track.f = sight_weight((ego.axis_x * x + ego.axis_y * y + ego.axis_z * z) / distance, p)
     track.gamma = range_weight(distance, p)
 
 
 @kernel
-def estimate_yaw(track, sight, own, heard, p):
+def estimate_yaw(track, sight, ego, heard, p):
     """One tick of the estimator of yaw_ij. All arguments are robot i's: its record of j, sight, odometry, inbox."""
     told = heard.age < p.memory  # j's last message still counts
     watched = told and heard.seen
@@ -72,13 +72,13 @@ def estimate_yaw(track, sight, own, heard, p):
             track.cos_yaw, track.sin_yaw = heard.cos_yaw, -heard.sin_yaw
         track.cos_used, track.sin_used = track.cos_yaw, track.sin_yaw
         return
-    _observe(track, sight, own, heard, p)
+    _update_observer(track, sight, ego, heard, p)
     mutual, cos_direct, sin_direct = False, 1.0, 0.0
     if watched and sight.seen:
-        mutual, cos_direct, sin_direct = _direct(track, heard)
+        mutual, cos_direct, sin_direct = _yaw_from_bearings(track, heard)
     gain, norm, cos_hat, sin_hat = 0.0, 1.0, 1.0, 0.0
     if told and sight.seen and track.since >= p.yaw_hold and (p.yaw_product or not mutual):
-        gain, norm, cos_hat, sin_hat = _compare(track, heard, p)
+        gain, norm, cos_hat, sin_hat = _yaw_from_motion(track, heard, p)
 
     c, s = track.cos_yaw, track.sin_yaw
     if not track.valid and mutual:
@@ -87,7 +87,7 @@ def estimate_yaw(track, sight, own, heard, p):
         c, s, track.valid = cos_hat / norm, sin_hat / norm, True
     else:
         share = (track.f * heard.f if p.yaw_product else 1.0) if mutual else 0.0  # paper: product; here an indicator
-        rate = heard.yaw_rate - own.yaw_rate  # (19), odometry
+        rate = heard.yaw_rate - ego.yaw_rate  # (19), odometry
         rate += p.yaw_k3 * share * (sin_direct * c - cos_direct * s)  # (20): k3 sin(yaw_ij - estimate)
         if gain > 0.0:
             rate += p.yaw_k2 * gain * (1.0 - share) * (sin_hat * c - cos_hat * s) / norm  # (21)
@@ -104,7 +104,7 @@ def estimate_yaw(track, sight, own, heard, p):
 
 
 @kernel
-def _observe(track, sight, own, heard, p):
+def _update_observer(track, sight, ego, heard, p):
     """Disturbance observer (15), (16) in the form (17): e follows iR_j v_j, the motion that i's own does not explain.
 
     Exact over a tick of constant velocities. The vertical part tells nothing about yaw and is left out. The lag-free
@@ -117,9 +117,9 @@ def _observe(track, sight, own, heard, p):
         return
     track.since += p.tick
     track.lapse += p.tick
-    c, s, lapse = own.turn_cos, own.turn_sin, track.lapse
+    c, s, lapse = ego.turn_cos, ego.turn_sin, track.lapse
     # where j would be now, had only i moved
-    lx, ly = c * track.lx - s * track.ly - own.shift_x, c * track.ly + s * track.lx - own.shift_y
+    lx, ly = c * track.lx - s * track.ly - ego.shift_x, c * track.ly + s * track.lx - ego.shift_y
     ex, ey = track.ex, track.ey
     if p.yaw_lag_free:
         ex, ey = c * ex - s * ey, c * ey + s * ex
@@ -137,7 +137,7 @@ def _observe(track, sight, own, heard, p):
 
 
 @kernel
-def _compare(track, heard, p):
+def _yaw_from_motion(track, heard, p):
     """yaw_ij from e (16) and v_j, or v_j filtered alike: (gain of (21), norm, norm * cosine, norm * sine)."""
     ux, uy = (track.qx, track.qy) if p.yaw_lag_free else (heard.vx, heard.vy)
     c, s = ux * track.ex + uy * track.ey, ux * track.ey - uy * track.ex
@@ -149,7 +149,7 @@ def _compare(track, heard, p):
 
 
 @kernel
-def _direct(track, heard):
+def _yaw_from_bearings(track, heard):
     """yaw_ij from both bearings in mutual view: (does it tell, cosine, sine); a steep line of sight does not."""
     ax, ay = track.x, track.y
     bx, by = -heard.px, -heard.py

@@ -1,4 +1,4 @@
-"""Who sees whom: the truth about every pair, and the camera's measurement of it.
+"""Pairs: the true geometry of every pair, and what a camera measures of it.
 
 This file and `rangefinder` are the only ones that turn the true poses into what a robot may know.
 """
@@ -16,10 +16,10 @@ SMALL = 16  # robots up to which it is faster to visit all pairs
 
 
 @kernel
-def look(bodies, pairs, near, count, piece, vertex, p):
+def update_pairs(bodies, pairs, near, count, piece, vertex, p):
     """Bring the truth about the first `count` pairs of `near` up to date: distance, cosine a_ij, blocked, seen, linked.
 
-    World frame in. Returns whether a pair fell asleep or woke: whether the list of `muster` is out of date.
+    World frame in. Returns whether a pair became idle or active, so that the list of `build_contacts` is out of date.
     """
     changed = False
     for i in range(bodies.shape[0]):
@@ -32,11 +32,11 @@ def look(bodies, pairs, near, count, piece, vertex, p):
         inverse = 1.0 / max(distance, 1e-9)
         ij.distance = ji.distance = distance
         a.nearest, b.nearest = min(a.nearest, distance), min(b.nearest, distance)
-        if distance >= p.d_max and ij.asleep == p.rest_ticks:
-            continue  # out of reach, and has been for long: the rest stays as it is
+        if distance >= p.d_max and ij.idle_ticks == p.rest_ticks:
+            continue  # out of range, and idle: the rest stays as it is
         x, y, z = inverse * dx, inverse * dy, inverse * dz
-        a_ij = a.ox * (a.cos_yaw * x + a.sin_yaw * y) + a.oy * (a.cos_yaw * y - a.sin_yaw * x) + a.oz * z
-        a_ji = -(b.ox * (b.cos_yaw * x + b.sin_yaw * y) + b.oy * (b.cos_yaw * y - b.sin_yaw * x) + b.oz * z)
+        a_ij = a.axis_x * (a.cos_yaw * x + a.sin_yaw * y) + a.axis_y * (a.cos_yaw * y - a.sin_yaw * x) + a.axis_z * z
+        a_ji = -(b.axis_x * (b.cos_yaw * x + b.sin_yaw * y) + b.axis_y * (b.cos_yaw * y - b.sin_yaw * x) + b.axis_z * z)
         in_range = p.d_min < distance < p.d_max
         wanted = in_range and (a_ij > p.a_min or a_ji > p.a_min)
         blocked = p.occlusion and wanted and sight_blocked(a.x, a.y, a.z, b.x, b.y, b.z, piece, vertex)
@@ -45,9 +45,9 @@ def look(bodies, pairs, near, count, piece, vertex, p):
         ij.seen = in_range and a_ij > p.a_min and not blocked  # f*_ij > 0 (10)
         ji.seen = in_range and a_ji > p.a_min and not blocked
         ij.linked = ji.linked = linked
-        asleep = 0 if linked else min(ij.asleep + 1, p.rest_ticks)
-        changed = changed or (asleep == p.rest_ticks) != (ij.asleep == p.rest_ticks)
-        ij.asleep = ji.asleep = asleep
+        asleep = 0 if linked else min(ij.idle_ticks + 1, p.rest_ticks)
+        changed = changed or (asleep == p.rest_ticks) != (ij.idle_ticks == p.rest_ticks)
+        ij.idle_ticks = ji.idle_ticks = asleep
     for i in range(bodies.shape[0]):
         if bodies[i].nearest >= p.d_max:
             bodies[i].nearest = least_separation(bodies, i)  # the nearest may be one that was not listed
@@ -55,12 +55,12 @@ def look(bodies, pairs, near, count, piece, vertex, p):
 
 
 @kernel
-def list_near(bodies, order, who, whom, contacts, near, p):
-    """List in `near` each pair that `look` has to visit once, i < j; returns how many.
+def broad_phase(bodies, order, row, col, contacts, near, p):
+    """Write into `near` each pair that `update_pairs` has to visit, once, i < j; returns how many.
 
-    These are the pairs in reach of each other and the `contacts` that `muster` found. Nothing changes between the
-    others. In a large team they are found by a sweep along x over `order`, the robots nearly as they lie there. In a
-    small team all are listed, which is faster.
+    These are the pairs in range of each other, and the `contacts` that `build_contacts` listed. Nothing changes for
+    other pairs. A large team is swept along x over `order`, which holds the robots almost sorted by x. In a small team
+    all pairs are listed, which is faster.
     """
     n, count = bodies.shape[0], 0
     if n <= SMALL:
@@ -69,7 +69,7 @@ def list_near(bodies, order, who, whom, contacts, near, p):
                 near[count, 0], near[count, 1] = i, j
                 count += 1
         return count
-    line_up(order, bodies)
+    sort_along_x(order, bodies)
     for a in range(n):
         i = order[a]
         for b in range(a + 1, n):
@@ -79,7 +79,7 @@ def list_near(bodies, order, who, whom, contacts, near, p):
             near[count, 0], near[count, 1] = min(i, j), max(i, j)
             count += abs(bodies[j].y - bodies[i].y) < p.d_max
     for k in range(contacts):
-        i, j = who[k], whom[k]
+        i, j = row[k], col[k]
         apart = abs(bodies[j].x - bodies[i].x) >= p.d_max or abs(bodies[j].y - bodies[i].y) >= p.d_max
         near[count, 0], near[count, 1] = i, j
         count += i < j and apart
@@ -87,7 +87,7 @@ def list_near(bodies, order, who, whom, contacts, near, p):
 
 
 @kernel
-def line_up(order, bodies):
+def sort_along_x(order, bodies):
     """Sort the robots along x, by insertion: from tick to tick few change places."""
     for a in range(1, order.shape[0]):
         k, b = order[a], a
@@ -109,39 +109,38 @@ def least_separation(bodies, i):
 
 
 @kernel
-def muster(pairs, who, whom, first, p):
-    """List the pairs that have to do with each other: linked, or so lately that something of it is left on board.
+def build_contacts(pairs, row, col, indptr, p):
+    """CSR list of the pairs linked within the last `rest_ticks`: what robots have on board can change for these alone.
 
-    Robot i's contacts, in ascending order, are whom[first[i] : first[i + 1]]; who holds i as often. Nothing changes
-    between the others.
+    Robot i's contacts, in ascending order, are col[indptr[i] : indptr[i + 1]]; row repeats i as often.
     """
     n, count = pairs.shape[0], 0
     for i in range(n):
-        first[i] = count
+        indptr[i] = count
         for j in range(n):
-            who[count], whom[count] = i, j
-            count += j != i and pairs[i, j].asleep < p.rest_ticks
-    first[n] = count
+            row[count], col[count] = i, j
+            count += j != i and pairs[i, j].idle_ticks < p.rest_ticks
+    indptr[n] = count
 
 
 @kernel
-def feel(body, own, i, key, tick, p):
+def measure_ego_motion(body, ego, i, key, tick, p):
     """Odometry and IMU of robot i: actual velocity, yaw rate, roll and pitch, with noise and bias where set."""
-    own.vx, own.vy, own.vz, own.yaw_rate = body.vx, body.vy, body.vz, body.yaw_rate
-    own.roll, own.pitch = body.roll, body.pitch
+    ego.vx, ego.vy, ego.vz, ego.yaw_rate = body.vx, body.vy, body.vz, body.yaw_rate
+    ego.roll, ego.pitch = body.roll, body.pitch
     if p.velocity_noise > 0.0 or p.velocity_bias > 0.0:
         a, b, c = _error(key, tick, i, random.VELOCITY, p.velocity_noise, p.velocity_bias)
-        own.vx, own.vy, own.vz = own.vx + a, own.vy + b, own.vz + c
+        ego.vx, ego.vy, ego.vz = ego.vx + a, ego.vy + b, ego.vz + c
     if p.gyro_noise > 0.0 or p.gyro_bias > 0.0:
         a, _, _ = _error(key, tick, i, random.GYRO, p.gyro_noise, p.gyro_bias)
-        own.yaw_rate += a
+        ego.yaw_rate += a
     if p.attitude_noise > 0.0 or p.attitude_bias > 0.0:
         a, b, _ = _error(key, tick, i, random.ATTITUDE, p.attitude_noise, p.attitude_bias)
-        own.roll, own.pitch = own.roll + a, own.pitch + b
+        ego.roll, ego.pitch = ego.roll + a, ego.pitch + b
 
 
 @kernel
-def see(me, it, pair, own, sight, index, key, tick, p):
+def measure_relative_position(me, it, pair, ego, sight, index, key, tick, p):
     """What a robot's camera reports of another: p_ij (2) in its yaw frame, de-tilted with its own IMU; or nothing."""
     sight.seen = pair.seen
     if sight.seen and p.miss > 0.0:
@@ -153,9 +152,9 @@ def see(me, it, pair, own, sight, index, key, tick, p):
     if p.position_noise > 0.0 or p.position_bias > 0.0:
         a, b, c = _error(key, tick, index, random.POSITION, p.position_noise, p.position_bias)
         x, y, z = x + a, y + b, z + c
-    if own.roll != me.roll or own.pitch != me.pitch:
+    if ego.roll != me.roll or ego.pitch != me.pitch:
         x, y, z = untilt(x, y, z, me.roll, me.pitch)  # to the camera, which the body carries
-        x, y, z = tilt(x, y, z, own.roll, own.pitch)  # and back with the attitude it believes
+        x, y, z = tilt(x, y, z, ego.roll, ego.pitch)  # and back with the attitude it believes
     sight.x, sight.y, sight.z = x, y, z
 
 

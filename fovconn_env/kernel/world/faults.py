@@ -1,4 +1,4 @@
-"""Faults: what of each robot works in a tick. A dead robot has neither camera nor radio, and rests where it is."""
+"""Faults: which cameras, radios and robots work in a tick. A dead robot has no camera and no radio, and rests."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ CAMERA, RADIO, ROBOT = range(3)  # settings.FAULTS
 
 
 @kernel
-def repair(body):
-    """All of a robot works."""
+def clear_faults(body):
+    """Camera, radio and robot work."""
     body.alive = body.sees = body.talks = True
 
 
@@ -24,13 +24,13 @@ def count_living(bodies):
 
 
 @kernel
-def wear(bodies, mail, faults, now):
-    """Bring up to date what works at the time `now`, s on the clock; what is on the air to or from dead radios is gone.
+def apply_faults(bodies, unicast, faults, now):
+    """Set what works at the time `now`, s on the clock; messages in the air from or to a dead radio are dropped.
 
     faults (F,) FAULT; mail (L, N, N).
     """
     for i in range(bodies.shape[0]):
-        repair(bodies[i])
+        clear_faults(bodies[i])
     for k in range(faults.shape[0]):
         fault = faults[k]
         if not fault.at - 1e-9 <= now < fault.until - 1e-9:
@@ -40,16 +40,16 @@ def wear(bodies, mail, faults, now):
         body.sees = body.sees and fault.kind == RADIO
         body.talks = body.talks and fault.kind == CAMERA
         if not body.talks:
-            for slot in range(mail.shape[0]):
+            for slot in range(unicast.shape[0]):
                 for j in range(bodies.shape[0]):
-                    mail[slot, fault.robot, j].arrives = mail[slot, j, fault.robot].arrives = False
+                    unicast[slot, fault.robot, j].arrives = unicast[slot, j, fault.robot].arrives = False
 
 
 @kernel
-def cut(bodies, pairs, p):
-    """Take from the pairs, as `look` leaves them, what their cameras, radios and robots are too dead for.
+def mask_pairs(bodies, pairs, p):
+    """Remove sight and links that dead cameras, radios or robots cannot have; called after `update_pairs`.
 
-    Whether a pair is asleep stays a matter of geometry: who visits one that has nothing to do changes nothing.
+    `idle_ticks` still counts geometry alone: visiting an idle pair changes nothing.
     """
     n = bodies.shape[0]
     for i in range(n):

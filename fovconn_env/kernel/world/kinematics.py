@@ -1,4 +1,4 @@
-"""The velocity-controlled robot (1), and what every model does with a command first."""
+"""The velocity-controlled robot (1), and how any model turns an action into a saturated command."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def saturate(vx, vy, vz, limit):
 
 
 @kernel
-def command(body, action, stick_x, stick_y, stick_z, p):
+def set_command(body, action, stick_x, stick_y, stick_z, p):
     """Set a robot's command from its action, (4,) shares in [-1, 1], and the operator's stick (m/s, yaw frame)."""
     top = p.speed_limit + p.stick_speed
     vx = min(max(action[0], -1.0), 1.0) * top + stick_x
@@ -29,18 +29,18 @@ def command(body, action, stick_x, stick_y, stick_z, p):
 
 
 @kernel
-def stand(body, p):
-    """Put a robot at rest and level where its pose says; fill what follows from the pose."""
+def reset_kinematic(body, p):
+    """Put a robot at rest and level at its pose, and set what follows from the pose."""
     body.cos_yaw, body.sin_yaw = math.cos(body.yaw), math.sin(body.yaw)
     body.vx = body.vy = body.vz = body.yaw_rate = 0.0
     body.roll = body.pitch = 0.0
-    body.ox, body.oy, body.oz = p.axis_x, p.axis_y, p.axis_z
+    body.axis_x, body.axis_y, body.axis_z = p.axis_x, p.axis_y, p.axis_z
     body.command_vx = body.command_vy = body.command_vz = body.command_yaw_rate = 0.0
     body.turn_cos, body.turn_sin = 1.0, 0.0
 
 
 @kernel
-def steady(body, p):
+def cache_half_turn(body, p):
     """Once a step, before its ticks: half a tick's turn at the commanded yaw rate, and the heading without drift."""
     half = 0.5 * body.command_yaw_rate * p.tick
     body.turn_cos, body.turn_sin = math.cos(half), math.sin(half)
@@ -48,8 +48,8 @@ def steady(body, p):
 
 
 @kernel
-def glide(body, p):
-    """Move one tick along (1) with the commanded velocity, on the heading half-way through the tick.
+def step_kinematic(body, p):
+    """Integrate (1) over one tick with the commanded velocity, at the heading half-way through the tick.
 
     Twice half a turn instead of two sines and cosines: in the few ticks of a step that drifts by rounding alone.
     """

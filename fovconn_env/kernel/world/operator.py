@@ -1,6 +1,6 @@
-"""The operator: what moves the leader's stick, and how far the leader has come on its course.
+"""The operator: the leader's stick, and the leader's progress along its way points.
 
-Whoever pulls, the course is the same and its last way point is the goal.
+The course does not depend on who moves the stick; its last way point is the goal.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ SPELL, BLEND, REST = 4.0, 1.5, 0.25
 
 
 @kernel
-def steer(body, waypoint, n_waypoints, sticks, episode, p):
+def update_stick(body, waypoint, n_waypoints, sticks, episode, p):
     """Set the stick for the next step, m/s in the leader's yaw frame; the operator sees where the leader is.
 
     sticks (T, 3): those of a recorded leader. Returns whether the leader is at the last way point.
@@ -26,13 +26,13 @@ def steer(body, waypoint, n_waypoints, sticks, episode, p):
     if p.leader == NOBODY:
         episode.stick_x = episode.stick_y = episode.stick_z = 0.0
         return False
-    arrived = advance(body, waypoint, n_waypoints, episode, p)
-    pull(body, waypoint, n_waypoints, sticks, episode, p)
+    arrived = advance_waypoint(body, waypoint, n_waypoints, episode, p)
+    set_stick(body, waypoint, n_waypoints, sticks, episode, p)
     return arrived
 
 
 @kernel
-def advance(body, waypoint, n_waypoints, episode, p):
+def advance_waypoint(body, waypoint, n_waypoints, episode, p):
     """Go on to the next way point where the leader has reached one, after a pause; returns whether it was the last."""
     last = episode.waypoint >= n_waypoints - 1
     _, _, _, distance = _towards(body, waypoint[min(episode.waypoint, n_waypoints - 1)])
@@ -51,8 +51,8 @@ def advance(body, waypoint, n_waypoints, episode, p):
 
 
 @kernel
-def pull(body, waypoint, n_waypoints, sticks, episode, p):
-    """Set the stick; changes nothing else, so that it may be asked again after a change of leader."""
+def set_stick(body, waypoint, n_waypoints, sticks, episode, p):
+    """Set the stick and nothing else, so that it can be called again after a change of leader."""
     x = y = z = 0.0
     if p.leader == HUMAN:  # as it was pushed, see Simulator.push
         return
@@ -63,35 +63,35 @@ def pull(body, waypoint, n_waypoints, sticks, episode, p):
         y = scale * (body.cos_yaw * dy - body.sin_yaw * dx)
         z = scale * dz
     elif p.leader == RANDOM:
-        x, y, z = wander(episode.key, episode.step * p.step_time - p.settle, p)
+        x, y, z = random_stick(episode.key, episode.step * p.step_time - p.settle, p)
     elif p.leader == RECORDED and episode.step < sticks.shape[0]:
         x, y, z = sticks[episode.step, 0], sticks[episode.step, 1], sticks[episode.step, 2]
     episode.stick_x, episode.stick_y, episode.stick_z = x, y, z
 
 
 @kernel
-def wander(key, time, p):
+def random_stick(key, time, p):
     """A stick that changes smoothly at random, (x, y, z) m/s, at a `time`, s, since the operator began."""
     if time < -1e-9:
         return 0.0, 0.0, 0.0
     k = int((time + 1e-9) / SPELL)
-    ax, ay, az = _whim(key, k - 1, p)
-    bx, by, bz = _whim(key, k, p)
+    ax, ay, az = _random_target(key, k - 1, p)
+    bx, by, bz = _random_target(key, k, p)
     share = min(max((time - k * SPELL) / BLEND, 0.0), 1.0)
     share = share * share * (3.0 - 2.0 * share)
     return ax + share * (bx - ax), ay + share * (by - ay), az + share * (bz - az)
 
 
 @entry
-def resteer(bodies, waypoint, n_waypoints, sticks, episodes, params):
+def reset_sticks(bodies, waypoint, n_waypoints, sticks, episodes, params):
     """Set the sticks of all worlds under way anew, (B,) EPISODE, after a change of leader."""
     for b in range(episodes.shape[0]):
         if not episodes[b].over:
-            pull(bodies[b, episodes[b].leader], waypoint[b], n_waypoints[b], sticks, episodes[b], params[0])
+            set_stick(bodies[b, episodes[b].leader], waypoint[b], n_waypoints[b], sticks, episodes[b], params[0])
 
 
 @kernel
-def _whim(key, k, p):
+def _random_target(key, k, p):
     """The k-th stick drawn, (x, y, z) m/s; before the first one the operator rests."""
     if k < 0 or random.uniform(random.draw(key, k, 0, random.STICK)) < REST:
         return 0.0, 0.0, 0.0

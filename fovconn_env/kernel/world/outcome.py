@@ -1,4 +1,4 @@
-"""The judge: true weights, how an episode ends, reward terms and infos. Nothing here reaches a robot."""
+"""Outcome: true weights and lambda2, termination, rewards and infos. Nothing here reaches a robot."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ RANGE, OWN_VIEW, ITS_VIEW, OCCLUSION, FAULT = range(1, 6)  # layout.LOST_LINK
 
 
 @kernel
-def weigh(pairs, infos, p):
-    """True f*_ij (10) and A_ij (6), (11) of all pairs; the cause of each lost link goes to infos. Returns the links."""
+def update_true_weights(pairs, infos, p):
+    """True f*_ij (10) and A_ij (6), (11) of all pairs; infos get why links were lost. Returns the number of links."""
     n, n_edges = pairs.shape[0], 0
     for i in range(n):
         infos[i].lost_link_cause = 0.0
     for i in range(n):
         for j in range(i + 1, n):
             ij, ji = pairs[i, j], pairs[j, i]
-            before, watched_by_i, watched_by_j = ij.weight, ij.watch > 0.0, ji.watch > 0.0
-            ij.watch = sight_weight(ij.cosine, p) if ij.seen else 0.0
-            ji.watch = sight_weight(ji.cosine, p) if ji.seen else 0.0
-            view = ij.watch + ji.watch - ij.watch * ji.watch  # (11): the judge's weight, whatever runs on board
+            before, watched_by_i, watched_by_j = ij.weight, ij.f_star > 0.0, ji.f_star > 0.0
+            ij.f_star = sight_weight(ij.cosine, p) if ij.seen else 0.0
+            ji.f_star = sight_weight(ji.cosine, p) if ji.seen else 0.0
+            view = ij.f_star + ji.f_star - ij.f_star * ji.f_star  # (11): the judge's weight, whatever runs on board
             ij.weight = ji.weight = range_weight(ij.distance, p) * view if view > 0.0 else 0.0  # (6)
             if ij.weight > 0.0:
                 n_edges += 1
@@ -37,7 +37,7 @@ def weigh(pairs, infos, p):
 
 @kernel
 def lost_link(pair, view, p):
-    """Why a pair has no link any more: RANGE, FAULT, OCCLUSION, or else `view`, of whom it was that looked away."""
+    """Cause of a lost link: RANGE, FAULT or OCCLUSION, else `view`, which names the camera that turned away."""
     if not p.d_min < pair.distance < p.d_max:
         return RANGE
     if pair.broken:
@@ -46,8 +46,8 @@ def lost_link(pair, view, p):
 
 
 @kernel
-def connectivity(bodies, pairs, v2, laplacian, scratch):
-    """True lambda2 of the living robots by the weights `weigh` has set; v2 (N,) gets the unit eigenvector.
+def true_lambda2(bodies, pairs, v2, laplacian, scratch):
+    """True lambda2 of the living robots by the weights of `update_true_weights`; v2 (N,) gets the unit eigenvector.
 
     v2 is 0 for the dead, lambda2 of fewer than two is 0. The rest is scratch.
     """
@@ -61,16 +61,16 @@ def connectivity(bodies, pairs, v2, laplacian, scratch):
         laplacian[i, i] = degree
     living = count_living(bodies)
     if living < n:
-        bury(bodies, v2, laplacian)
+        isolate_dead(bodies, v2, laplacian)
     lambda2 = fiedler(laplacian, v2, scratch) if living > 1 else 0.0
     if living < n:
-        bury(bodies, v2, laplacian)  # rounding errors in v2
+        isolate_dead(bodies, v2, laplacian)  # rounding errors in v2
     return lambda2
 
 
 @kernel
-def bury(bodies, v2, laplacian):
-    """Leave the dead out of a graph, as `fiedler` asks for it; who is left alone has no part in v2."""
+def isolate_dead(bodies, v2, laplacian):
+    """Mark dead robots as isolated for `fiedler`: diagonal -1, v2 entry 0; with fewer than two alive, every robot."""
     alone = count_living(bodies) < 2
     for i in range(v2.shape[0]):
         if alone or not bodies[i].alive:
@@ -78,8 +78,8 @@ def bury(bodies, v2, laplacian):
 
 
 @kernel
-def end(episode, arrived, p):
-    """Decide whether the episode is over, from the true lambda2 and the collisions noted on the way."""
+def check_termination(episode, arrived, p):
+    """Termination and truncation, from the true lambda2 and the collisions detected in this step."""
     dt, connected = p.step_time, episode.lambda2 > p.lambda2_min
     episode.split = 0.0 if connected else episode.split + dt
     if p.leader == NOBODY:
@@ -95,7 +95,7 @@ def end(episode, arrived, p):
 
 
 @kernel
-def reward(bodies, infos, rewards, actions, episode, stick_x, stick_y, stick_z, p):
+def write_rewards(bodies, infos, rewards, actions, episode, stick_x, stick_y, stick_z, p):
     """Named reward terms of every robot and their sum. Running terms are rates times the step, stick: last step's."""
     lead, dt = bodies[episode.leader], p.step_time
     margin = (episode.lambda2 - p.lambda2_min) / (p.lambda2_max - p.lambda2_min)
@@ -128,8 +128,8 @@ def crowding(body, p):
 
 
 @kernel
-def tell(bodies, tracks, beliefs, infos, whom, first, episode, p):
-    """Fill the infos that are not reward terms, link causes, bytes or rows."""
+def write_infos(bodies, tracks, beliefs, infos, col, indptr, episode, p):
+    """Write the infos that are not reward terms, causes of lost links, bytes or dropped rows."""
     n = bodies.shape[0]
     for i in range(n):
         info = infos[i]
@@ -139,7 +139,7 @@ def tell(bodies, tracks, beliefs, infos, whom, first, episode, p):
         info.n_edges = episode.n_edges
         info.min_distance, info.clearance = bodies[i].nearest, min(bodies[i].clearance, 1e3)
         largest = 0.0
-        for j in whom[first[i] : first[i + 1]]:
+        for j in col[indptr[i] : indptr[i + 1]]:
             if tracks[i, j].present and tracks[i, j].valid:
                 largest = max(largest, yaw_error(bodies[i], bodies[j], tracks[i, j]))
         info.yaw_error = 2.0 * math.atan(largest)

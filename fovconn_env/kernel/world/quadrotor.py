@@ -14,7 +14,7 @@ import numpy as np
 
 from fovconn_env.kernel.jit import kernel
 from fovconn_env.kernel.maths.random import FORCE, ROTOR, draw, normal_triple
-from fovconn_env.kernel.world.kinematics import saturate, stand
+from fovconn_env.kernel.world.kinematics import reset_kinematic, saturate
 
 GRAVITY = 9.81  # m/s^2
 _LEAST_LIFT = 0.2 * GRAVITY  # m/s^2, kept in the fastest descent: without thrust there is no tilting
@@ -24,9 +24,9 @@ _LOW16, _S16, _S32, _S48 = (np.uint64(n) for n in (0xFFFF, 16, 32, 48))
 
 
 @kernel
-def hover(body, flight, p):
+def reset_quadrotor(body, flight, p):
     """Put a robot at rest and level where its pose says, its rotors carrying its weight and its references at rest."""
-    stand(body, p)
+    reset_kinematic(body, p)
     flight.qw, flight.qx, flight.qy, flight.qz = math.cos(0.5 * body.yaw), 0.0, 0.0, math.sin(0.5 * body.yaw)
     flight.vx = flight.vy = flight.vz = flight.wx = flight.wy = flight.wz = 0.0
     speed = math.sqrt(0.25 * p.mass * GRAVITY / p.thrust_gain)
@@ -37,32 +37,32 @@ def hover(body, flight, p):
 
 
 @kernel
-def fly(body, flight, p, key, tick, i):
+def step_quadrotor(body, flight, p, key, tick, i):
     """Fly robot i for one tick: the position loop runs once, the attitude loop, the rotors and the body in substeps."""
     n = max(1, round(p.tick / p.substep))
     h = p.tick / n
     keep, noise = math.exp(-h / p.rotor_lag), p.rotor_noise * math.sqrt(_NOISE_STEP / h)
-    external = gust(body, flight, p, key, tick, i)  # random force <- its past
-    jerk = shape(body, flight, p)  # acceleration reference <- command
-    thrust, force = demand(flight, p)  # force <- references, motion
-    goal, omega = aim(body, flight, force, jerk)  # attitude <- force, yaw reference
-    advance(body, flight, p)  # references <- acceleration reference, command
+    external = disturbance_force(body, flight, p, key, tick, i)  # random force <- its past
+    jerk = update_reference(body, flight, p)  # acceleration reference <- command
+    thrust, force = desired_force(flight, p)  # force <- references, motion
+    goal, omega = desired_attitude(body, flight, force, jerk)  # attitude <- force, yaw reference
+    propagate_reference(body, flight, p)  # references <- acceleration reference, command
     dx = dy = dz = 0.0
     for s in range(n):
-        command = allocate(thrust, steer(flight, goal, omega, p), p)
+        command = allocate(thrust, attitude_control(flight, goal, omega, p), p)
         if noise > 0.0:
-            command = disturb(command, noise, draw(key, tick * n + s, i, ROTOR))
-        wrench = spin(flight, command, keep, p)
-        x, y, z = move(flight, wrench, external, h, p)
+            command = add_rotor_noise(command, noise, draw(key, tick * n + s, i, ROTOR))
+        wrench = step_rotors(flight, command, keep, p)
+        x, y, z = integrate(flight, wrench, external, h, p)
         dx, dy, dz = dx + x, dy + y, dz + z
     body.x, body.y, body.z = body.x + dx, body.y + dy, body.z + dz
     flight.ex, flight.ey, flight.ez = flight.ex - dx, flight.ey - dy, flight.ez - dz
-    report(body, flight, p)
+    write_body(body, flight, p)
 
 
 # --------------------------------------------------------------------------------------------------- once a tick
 @kernel
-def gust(body, flight, p, key, tick, i):
+def disturbance_force(body, flight, p, key, tick, i):
     """Renew the slow random force (Ornstein-Uhlenbeck, N, yaw frame); acceleration by it and gravity, m/s^2, world."""
     if p.force_noise > 0.0:
         keep = math.exp(-p.tick / p.force_time)
@@ -76,7 +76,7 @@ def gust(body, flight, p, key, tick, i):
 
 
 @kernel
-def shape(body, flight, p):
+def update_reference(body, flight, p):
     """Set this tick's acceleration reference so that the velocity soonest meets the command; jerk, m/s^3, world.
 
     An acceleration of k max_jerk dt, taken back by max_jerk dt a tick, adds k (k + 1) / 2 max_jerk dt^2 of velocity.
@@ -94,19 +94,19 @@ def shape(body, flight, p):
 
 
 @kernel
-def demand(flight, p):
+def desired_force(flight, p):
     """Thrust (Lee: f; N) and the force per mass to give (Lee: A / m; m/s^2, world), tilted by max_tilt at most."""
     ux = p.kp * flight.ex + p.kv * (flight.rx - flight.vx) + flight.ax  # Lee: -k_x e_x - k_v e_v + x_d'' + g e_3
     uy = p.kp * flight.ey + p.kv * (flight.ry - flight.vy) + flight.ay
     uz = p.kp * flight.ez + p.kv * (flight.rz - flight.vz) + flight.az + GRAVITY
     uz = max(uz, _LEAST_LIFT)
     ux, uy, _ = saturate(ux, uy, 0.0, uz * math.tan(p.max_tilt))
-    bx, by, bz = upward(flight.qw, flight.qx, flight.qy, flight.qz)
+    bx, by, bz = body_z(flight.qw, flight.qx, flight.qy, flight.qz)
     return p.mass * (ux * bx + uy * by + uz * bz), (ux, uy, uz)  # Lee: f = A . R e_3
 
 
 @kernel
-def aim(body, flight, force, jerk):
+def desired_attitude(body, flight, force, jerk):
     """Attitude with b3 along the force and the yaw wanted (Lee: R_d; quaternion), and its body rate (Lee: Omega_d).
 
     Lee projects the heading on the rotor plane; here it is the yaw of Rz Ry Rx, so that tilting does not turn a robot.
@@ -134,7 +134,7 @@ def aim(body, flight, force, jerk):
 
 
 @kernel
-def advance(body, flight, p):
+def propagate_reference(body, flight, p):
     """Carry the velocity, position and yaw references through the tick."""
     dt = p.tick
     flight.ex += dt * (flight.rx + 0.5 * dt * flight.ax)
@@ -145,7 +145,7 @@ def advance(body, flight, p):
 
 
 @kernel
-def report(body, flight, p):
+def write_body(body, flight, p):
     """Fill the pose's yaw and what follows from the flight: velocity, yaw rate, roll, pitch and optical axis."""
     w, x, y, z = flight.qw, flight.qx, flight.qy, flight.qz
     norm = math.sqrt(w * w + x * x + y * y + z * z)
@@ -153,7 +153,7 @@ def report(body, flight, p):
     flight.qw, flight.qx, flight.qy, flight.qz = w, x, y, z
     b1x, b1y, b1z = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)
     b2x, b2y, b2z = 2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)
-    b3x, b3y, b3z = upward(w, x, y, z)
+    b3x, b3y, b3z = body_z(w, x, y, z)
     level = math.sqrt(b1x * b1x + b1y * b1y)  # cos(pitch)
     c, s = b1x / level, b1y / level
     flight.yaw_reference -= math.asin(body.cos_yaw * s - body.sin_yaw * c)
@@ -164,8 +164,8 @@ def report(body, flight, p):
     body.yaw_rate = (flight.wy * b2z + flight.wz * b3z) / (level * level)  # yaw' of Rz Ry Rx
     ox = b1x * p.axis_x + b2x * p.axis_y + b3x * p.axis_z
     oy = b1y * p.axis_x + b2y * p.axis_y + b3y * p.axis_z
-    body.ox, body.oy = turn(c, -s, ox, oy)
-    body.oz = b1z * p.axis_x + b2z * p.axis_y + b3z * p.axis_z
+    body.axis_x, body.axis_y = turn(c, -s, ox, oy)
+    body.axis_z = b1z * p.axis_x + b2z * p.axis_y + b3z * p.axis_z
 
 
 @kernel
@@ -175,14 +175,14 @@ def turn(c, s, x, y):
 
 
 @kernel
-def upward(w, x, y, z):
+def body_z(w, x, y, z):
     """b3 of a unit quaternion: the direction of thrust in the world."""
     return 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
 
 
 # ------------------------------------------------------------------------------------------------ every substep
 @kernel
-def steer(flight, goal, omega, p):
+def attitude_control(flight, goal, omega, p):
     """Torque, N m, body frame, that turns the attitude into the goal and the body rate into omega (Lee: M)."""
     qw, qx, qy, qz = goal
     w, x, y, z = flight.qw, flight.qx, flight.qy, flight.qz
@@ -226,7 +226,7 @@ def mix(lift, roll, pitch, yaw):
 
 
 @kernel
-def disturb(command, noise, bits):
+def add_rotor_noise(command, noise, bits):
     """Rotor speeds with relative errors of standard deviation `noise`, uniform, 16 random bits each."""
     c0, c1, c2, c3 = command
     unit = noise * math.sqrt(12.0) / 65536.0
@@ -238,7 +238,7 @@ def disturb(command, noise, bits):
 
 
 @kernel
-def spin(flight, command, keep, p):
+def step_rotors(flight, command, keep, p):
     """Let the rotors follow their commands; thrust (N) and torques (N m, body frame) at their mean speeds."""
     c0, c1, c2, c3 = command
     r0, r1, r2, r3 = flight.rotor0, flight.rotor1, flight.rotor2, flight.rotor3
@@ -252,7 +252,7 @@ def spin(flight, command, keep, p):
 
 
 @kernel
-def move(flight, wrench, external, h, p):
+def integrate(flight, wrench, external, h, p):
     """Move the rigid body through a substep h (s) by the midpoint of its rates; displacement, m, world."""
     f, mx, my, mz = wrench
     wx, wy, wz = flight.wx, flight.wy, flight.wz
@@ -272,8 +272,8 @@ def move(flight, wrench, external, h, p):
     ny = (c * y + ty * w) + (tx * z - tz * x)
     nz = (c * z + tz * w) + (ty * x - tx * y)
     flight.qw, flight.qx, flight.qy, flight.qz = nw, nx, ny, nz
-    ax, ay, az = upward(w, x, y, z)
-    bx, by, bz = upward(nw, nx, ny, nz)
+    ax, ay, az = body_z(w, x, y, z)
+    bx, by, bz = body_z(nw, nx, ny, nz)
     lift = f * (0.5 / p.mass)  # along the mean of old and new b3
     ax, ay, az = lift * (ax + bx) + external[0], lift * (ay + by) + external[1], lift * (az + bz) + external[2]
     vx, vy, vz = flight.vx, flight.vy, flight.vz

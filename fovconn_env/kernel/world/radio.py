@@ -11,53 +11,53 @@ from fovconn_env.kernel.maths import random
 
 
 @kernel
-def receive(post, letter, box, first, p):
+def receive_message(broadcast, unicast, inbox, is_new, p):
     """Deliver one message, or note that none came. first: of those its sender wrote in one tick.
 
     A message that repeats the one before it is not copied again, but for the consensus.
     """
-    if not letter.arrives:
-        box.fresh = box.news = False
-        box.age = min(box.age + p.round_time, p.memory)
+    if not unicast.arrives:
+        inbox.fresh = inbox.news = False
+        inbox.age = min(inbox.age + p.round_time, p.memory)
         return
-    box.news = first or not box.fresh
-    box.fresh = True
-    box.age = 0.0
-    box.x, box.degree = post.x, post.degree
-    box.y1, box.y2, box.y3 = post.y1, post.y2, post.y3
-    box.q1, box.q2, box.q3 = post.q1, post.q2, post.q3
-    if not box.news:
+    inbox.news = is_new or not inbox.fresh
+    inbox.fresh = True
+    inbox.age = 0.0
+    inbox.x, inbox.degree = broadcast.x, broadcast.degree
+    inbox.y1, inbox.y2, inbox.y3 = broadcast.y1, broadcast.y2, broadcast.y3
+    inbox.q1, inbox.q2, inbox.q3 = broadcast.q1, broadcast.q2, broadcast.q3
+    if not inbox.news:
         return
-    box.seen, box.px, box.py, box.pz = letter.seen, letter.px, letter.py, letter.pz
-    box.gamma, box.f = letter.gamma, letter.f
-    box.cos_yaw, box.sin_yaw, box.yaw_valid = letter.cos_yaw, letter.sin_yaw, letter.yaw_valid
-    box.vx, box.vy, box.vz, box.yaw_rate = post.vx, post.vy, post.vz, post.yaw_rate
-    box.roll, box.pitch = post.roll, post.pitch
+    inbox.seen, inbox.px, inbox.py, inbox.pz = unicast.seen, unicast.px, unicast.py, unicast.pz
+    inbox.gamma, inbox.f = unicast.gamma, unicast.f
+    inbox.cos_yaw, inbox.sin_yaw, inbox.yaw_valid = unicast.cos_yaw, unicast.sin_yaw, unicast.yaw_valid
+    inbox.vx, inbox.vy, inbox.vz, inbox.yaw_rate = broadcast.vx, broadcast.vy, broadcast.vz, broadcast.yaw_rate
+    inbox.roll, inbox.pitch = broadcast.roll, broadcast.pitch
 
 
 @kernel
-def announce(post, own, belief):
+def write_broadcast(broadcast, ego, belief):
     """Write the part of robot i's messages that is the same for all: its motion and its part in the consensus."""
-    post.vx, post.vy, post.vz, post.yaw_rate = own.vx, own.vy, own.vz, own.yaw_rate
-    post.roll, post.pitch = own.roll, own.pitch
-    post.x, post.degree = belief.x, belief.degree
-    post.y1, post.y2, post.y3 = belief.y1, belief.y2, belief.y3
-    post.q1, post.q2, post.q3 = belief.q1, belief.q2, belief.q3
+    broadcast.vx, broadcast.vy, broadcast.vz, broadcast.yaw_rate = ego.vx, ego.vy, ego.vz, ego.yaw_rate
+    broadcast.roll, broadcast.pitch = ego.roll, ego.pitch
+    broadcast.x, broadcast.degree = belief.x, belief.degree
+    broadcast.y1, broadcast.y2, broadcast.y3 = belief.y1, belief.y2, belief.y3
+    broadcast.q1, broadcast.q2, broadcast.q3 = belief.q1, belief.q2, belief.q3
 
 
 @kernel
-def address(letter, track):
+def write_unicast(unicast, track):
     """Write robot i's note to j: what i has on board about j."""
-    letter.seen, letter.px, letter.py, letter.pz = track.held, 0.0, 0.0, 0.0
+    unicast.seen, unicast.px, unicast.py, unicast.pz = track.held, 0.0, 0.0, 0.0
     if track.held:
-        letter.px, letter.py, letter.pz = track.x, track.y, track.z
-    letter.gamma, letter.f = track.gamma, track.f
-    letter.cos_yaw, letter.sin_yaw, letter.yaw_valid = track.cos_yaw, track.sin_yaw, track.valid
+        unicast.px, unicast.py, unicast.pz = track.x, track.y, track.z
+    unicast.gamma, unicast.f = track.gamma, track.f
+    unicast.cos_yaw, unicast.sin_yaw, unicast.yaw_valid = track.cos_yaw, track.sin_yaw, track.valid
 
 
 @kernel
-def transmit(letter, pair, index, key, number, p):
+def draw_losses(unicast, pair, index, key, number, p):
     """Decide whether a message goes on the air (linked pairs) and whether it gets through."""
-    letter.sent = letter.arrives = pair.linked
-    if letter.sent and p.loss > 0.0:
-        letter.arrives = random.uniform(random.draw(key, number, index, random.LOSS)) >= p.loss
+    unicast.sent = unicast.arrives = pair.linked
+    if unicast.sent and p.loss > 0.0:
+        unicast.arrives = random.uniform(random.draw(key, number, index, random.LOSS)) >= p.loss

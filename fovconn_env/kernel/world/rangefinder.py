@@ -26,7 +26,7 @@ def scan(bodies, i, piece, vertex, rows, key, tick, p):
         distance = math.sqrt(dx * dx + dy * dy + dz * dz)
         surface = max(distance - 0.5 * p.collision_robot, 0.0)
         scale = surface / max(distance, 1e-9)
-        _enter(rows, me, dx * scale, dy * scale, dz * scale, surface, i, j, key, tick, p)
+        _insert_row(rows, me, dx * scale, dy * scale, dz * scale, surface, i, j, key, tick, p)
     k, best = 0, math.inf
     bx = by = bz = 0.0
     while k < piece.shape[0] and piece[k].count > 0:
@@ -35,12 +35,12 @@ def scan(bodies, i, piece, vertex, rows, key, tick, p):
             best, bx, by, bz = distance, x - me.x, y - me.y, z - me.z
         k += 1
         if k == piece.shape[0] or piece[k].count == 0 or piece[k].source != piece[k - 1].source:
-            _enter(rows, me, bx, by, bz, max(best, 0.0), i, n + piece[k - 1].source, key, tick, p)
+            _insert_row(rows, me, bx, by, bz, max(best, 0.0), i, n + piece[k - 1].source, key, tick, p)
             best = math.inf
 
 
 @kernel
-def _enter(rows, me, dx, dy, dz, distance, i, thing, key, tick, p):
+def _insert_row(rows, me, dx, dy, dz, distance, i, thing, key, tick, p):
     """Insert a point (world axes, from the robot) where its distance belongs; the farthest falls off the end."""
     if distance >= p.range_max:
         return

@@ -46,7 +46,7 @@ def instant_of(simulator: Simulator) -> Instant:
         stick=world_stick(simulator),
         leader=int(episode["leader"]),
         weights=state.pair["weight"][0].copy(),
-        watch=state.pair["watch"][0].copy(),
+        watch=state.pair["f_star"][0].copy(),
         lambda2=float(episode["lambda2"]),
         lambda2_hat=state.belief["lambda2_hat"][0].copy(),
         fiedler=state.fiedler[0].copy(),
