@@ -44,7 +44,7 @@ def draw(chosen: Scenario, seed: int) -> Figure:
     axes.spines[:].set_visible(False)
     draw_ground(axes, world.piece[0][world.piece[0]["count"] > 0], vertices, course)
     scene = Scene(axes, chosen, 72 * WIDTH / width)
-    scene.show(poses, np.zeros((chosen.n_agents, 2)), np.zeros(3), pair["weight"], pair["watch"])
+    scene.show(poses, np.zeros((chosen.n_agents, 2)), np.zeros(3), pair["weight"], pair["f_star"])
     axes.plot([low[0] + 1.0, low[0] + 6.0], [low[1] + 0.7] * 2, color=style.DARK, lw=1.5)
     axes.text(low[0] + 3.5, low[1] + 0.9, "5 m", ha="center", fontsize=8, color=style.DARK)
     return figure
