@@ -20,6 +20,7 @@ from fovconn_env.training.bench.cases import (
     Plan,
     _on_one_thread,
     at_one_density,
+    lap,
     plans,
 )
 from fovconn_env.training.bench.picture import KINDS, plot
@@ -87,7 +88,7 @@ def test_a_case_is_called_until_its_seconds_are_over():
         time.sleep(0.002)
         return 0.002, 0
 
-    counted, calls, _ = bench._lap(Case(6, 1, call), 0.05)
+    counted, calls, _ = lap(Case(6, 1, call), 0.05)
     assert 2 <= calls <= 25
     assert counted == pytest.approx(0.002 * calls)
 

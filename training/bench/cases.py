@@ -1,4 +1,4 @@
-"""What `fovconn bench` times: one function a case.
+"""What `fovconn bench` times: one function a case. `paired` runs this file on the code of another tree, too.
 
 What counts is the call of `step` alone. Our flights are flown by the expert, whose own time counts only where a case
 says so: robots that stand still step about a sixth faster. A world that ends is reset inside the vector environment's
@@ -56,6 +56,15 @@ class Case(NamedTuple):
     agents: int
     steps: int
     call: Callable[[], tuple[float, int]]
+
+
+def lap(case: Case, seconds: float) -> tuple[float, int, int]:
+    """Call a case for so long, everything it does included: the seconds that count, calls and ends."""
+    stop, counted, calls, ends = time.perf_counter() + seconds, 0.0, 0, 0
+    while calls == 0 or time.perf_counter() < stop:
+        spent, ended = case.call()
+        counted, calls, ends = counted + spent, calls + 1, ends + ended
+    return counted, calls, ends
 
 
 class Plan(NamedTuple):

@@ -89,10 +89,14 @@ def ratio(bar: Bar, timings: Sequence[Timing]) -> dict[str, Any] | None:
     if bar.under:
         best = max((by_key[key] for key in bar.under), key=lambda timing: timing.median * timing.agents)
         under = [rate * best.agents for rate in best.rates]
-    each = [a / b for a, b in zip(over, under, strict=True)]
+    return judged(bar, [a / b for a, b in zip(over, under, strict=True)])
+
+
+def judged(bar: Bar, each: Sequence[float]) -> dict[str, Any]:
+    """A bar with its ratio in each repetition, their median and range, and whether the median holds it."""
     median = statistics.median(each)
     holds = median <= bar.bar if bar.at_most else median >= bar.bar
-    return bar._asdict() | {"each": each, "ratio": median, "least": min(each), "most": max(each), "holds": holds}
+    return bar._asdict() | {"each": list(each), "ratio": median, "least": min(each), "most": max(each), "holds": holds}
 
 
 def machine() -> dict[str, Any]:

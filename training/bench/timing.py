@@ -9,7 +9,6 @@ import pickle
 import statistics
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +17,7 @@ import numpy as np
 
 from fovconn_env import Scenario
 from fovconn_env.envs.vector import VectorEnv
-from fovconn_env.training.bench.cases import PEERS, Case, Effort, Plan, plans
+from fovconn_env.training.bench.cases import PEERS, Case, Effort, Plan, lap, plans
 
 GROUPS = ("parallel", "vector", "expert", "sb3", "ppo", "dynamics", "reset", "render", "density", "memory")
 INSTALLED = ("installed", "all")  # in the place of a peer's name
@@ -110,26 +109,17 @@ def measure(chosen: Sequence[Plan], effort: Effort, tell: Callable[[str], None] 
     for plan in chosen:
         tell(plan.name)
         cases.append(plan.make())
-        _lap(cases[-1], effort.seconds / 3)
+        lap(cases[-1], effort.seconds / 3)
     gc.collect()
     gc.freeze()  # or the garbage collector walks all cases in the time of the one that calls it
     try:
         for _ in range(effort.repetitions):
             for plan, case, kept in zip(chosen, cases, laps, strict=True):
                 tell(plan.name)
-                kept.append(_lap(case, effort.seconds))
+                kept.append(lap(case, effort.seconds))
     finally:
         gc.unfreeze()
     return [_timing(plan, case, kept) for plan, case, kept in zip(chosen, cases, laps, strict=True)]
-
-
-def _lap(case: Case, seconds: float) -> tuple[float, int, int]:
-    """Call a case for so long, everything it does included: the seconds that count, calls and ends."""
-    stop, counted, calls, ends = time.perf_counter() + seconds, 0.0, 0, 0
-    while calls == 0 or time.perf_counter() < stop:
-        spent, ended = case.call()
-        counted, calls, ends = counted + spent, calls + 1, ends + ended
-    return counted, calls, ends
 
 
 def _timing(plan: Plan, case: Case, laps: list[tuple[float, int, int]]) -> Timing:
@@ -138,12 +128,12 @@ def _timing(plan: Plan, case: Case, laps: list[tuple[float, int, int]]) -> Timin
     return Timing(plan.key, plan.name, case.agents, rates, 1000.0 * ends / steps)
 
 
-def check_groups(only: Sequence[str]) -> list[str]:
-    """The groups to run, in their own order."""
+def check_groups(only: Sequence[str], known: Sequence[str] = GROUPS) -> list[str]:
+    """The groups to run, in their own order; all that are known if `only` names none."""
     for name in only:
-        if name not in GROUPS:
-            raise ValueError(f"--only must name some of {', '.join(GROUPS)}, got {name!r}")
-    return [group for group in GROUPS if group in only or not only]
+        if name not in known:
+            raise ValueError(f"--only must name some of {', '.join(known)}, got {name!r}")
+    return [group for group in known if group in only or not only]
 
 
 def check_peers(against: Sequence[str]) -> tuple[list[str], list[str]]:

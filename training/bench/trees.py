@@ -16,10 +16,13 @@ import tempfile
 import textwrap
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
-HERE = Path(__file__).resolve().parents[2]
+import fovconn_env
+
+HERE = Path(fovconn_env.__file__).parents[1]  # where this package is imported from
 LAWS = ("expert", "cohesive", "follow", "springs", "residual")
 EVERY = 100  # steps between two hashes
 
@@ -43,7 +46,7 @@ def state_hash(simulator):
     '''As 0.1.0 hashed a state.'''
     return _state_hash(simulator, **_OLD)
 
-arguments = json.load(sys.stdin)
+arguments = json.loads(sys.stdin.readline())
 """
 
 FLY = """
@@ -84,29 +87,56 @@ class Difference(NamedTuple):
     since: int
 
 
-def run_in(tree: Path, program: str, arguments: Any) -> Iterator[str]:
-    """Lines that a program prints in a tree; `arguments` is what it finds under that name.
+class Pipes(NamedTuple):
+    """What a running program reads and writes, lines of text."""
 
-    Raises `RuntimeError` with the end of what it said where it fails.
+    stdin: IO[str]
+    stdout: IO[str]
+
+    def ask(self, question: Any) -> Any:
+        """The program's answer, one line of JSON each way."""
+        self.stdin.write(json.dumps(question) + "\n")
+        return self.read()
+
+    def read(self) -> Any:
+        """The next line, as JSON; `EOFError` if the program has ended."""
+        line = self.stdout.readline()
+        if not line:
+            raise EOFError("the program ended")
+        return json.loads(line)
+
+
+@contextmanager
+def running(tree: Path, program: str, arguments: Any) -> Iterator[Pipes]:
+    """Run a program in a tree, which finds `arguments` (as JSON gives them back) under that name; wait for its end.
+
+    Raises `ValueError` if the tree is none of this project, `RuntimeError` with what the program said if it fails.
     """
     if not (tree / "fovconn_env").is_dir():
         raise ValueError(f"--baseline must be a checkout of this project, got {str(tree)!r}: it has no fovconn_env")
-    variables = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    variables["PYTHONPATH"] = str(tree.resolve())
-    command = [sys.executable, "-c", textwrap.dedent(PRELUDE) + textwrap.dedent(program)]
-    with tempfile.TemporaryDirectory() as away, tempfile.TemporaryFile("w+", encoding="utf-8") as errors:
-        task = subprocess.Popen(
-            command, cwd=away, env=variables, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True
-        )
-        assert task.stdin is not None
-        assert task.stdout is not None
-        with task, task.stdin as stdin:
-            stdin.write(json.dumps(arguments))
-            stdin.close()
-            yield from task.stdout
-        if task.returncode:
-            errors.seek(0)
-            raise RuntimeError(f"a program failed in {tree}:\n{errors.read()[-2000:]}")
+    variables = {**os.environ, "PYTHONPATH": str(tree.resolve())}
+    command = [sys.executable, "-P", "-c", textwrap.dedent(PRELUDE) + textwrap.dedent(program)]
+    with tempfile.TemporaryFile("w+", encoding="utf-8") as errors:
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": errors}
+        with subprocess.Popen(command, env=variables, text=True, bufsize=1, **pipes) as task:
+            assert task.stdin is not None
+            assert task.stdout is not None
+            try:
+                task.stdin.write(json.dumps(arguments) + "\n")
+                yield Pipes(task.stdin, task.stdout)
+                task.stdin.close()
+            except (BrokenPipeError, EOFError):
+                if task.wait() == 0:  # else it said why
+                    raise
+            if task.wait():
+                errors.seek(0)
+                raise RuntimeError(f"a program failed in {tree}:\n{errors.read()[-2000:]}")
+
+
+def run_in(tree: Path, program: str, arguments: Any) -> Iterator[str]:
+    """Lines that a program prints in a tree; `arguments` and what it raises as in `running`."""
+    with running(tree, program, arguments) as pipes:
+        yield from pipes.stdout
 
 
 def cells(policies: Sequence[str]) -> list[Cell]:

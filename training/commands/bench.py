@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from fovconn_env import scenario
 from fovconn_env.files import write_text
-from fovconn_env.training.bench.cases import FULL, PEERS, QUICK
-from fovconn_env.training.bench.timing import GROUPS, INSTALLED, agenda, run
+from fovconn_env.training.bench.cases import FULL, PEERS, QUICK, Effort
+from fovconn_env.training.bench.timing import GROUPS, INSTALLED, Agenda, agenda, check_groups, run
 from fovconn_env.training.commands.options import ScenarioName, Settings, check_writable, parse
 from fovconn_env.training.commands.screen import grid, out, progress, warm_up
 
@@ -33,22 +34,44 @@ def command(
         Path | None, typer.Option("--json", help="Write everything, each repetition too, here.")
     ] = None,
     picture: Annotated[Path | None, typer.Option("--plot", help="Draw it here: .png, .svg or .pdf.")] = None,
+    baseline: Annotated[
+        Path | None,
+        typer.Option(metavar="PATH", help="Instead, the ratio to another checkout; vector and parallel by default."),
+    ] = None,
     settings: Settings = None,
 ) -> None:
     """Time the environment: steps a second, medians over repetitions, ratios to the peers, peak memory."""
-    from fovconn_env.training.bench.report import bar_table, machine_line, rate_table, record, restless
-
     if peers and not against:
         raise ValueError(f"{peers[0]!r} is unexpected: peers come after --against, groups each after an --only")
     chosen, effort = scenario(scenario_name, **parse(settings)), QUICK if quick else FULL
     effort = effort._replace(batches=tuple(batches or effort.batches), repetitions=repetitions or effort.repetitions)
-    todo = agenda(chosen, effort, only or (), [*(against or ()), *(peers or ())])
+    check_writable({"--json": json_file, "--plot": picture})
+    if baseline is not None:
+        if against or picture is not None:
+            raise ValueError("--baseline must stand without --against and --plot: it gives ratios of two trees alone")
+        report = _beside(baseline, chosen.name, parse(settings), effort, only or ())
+    else:
+        report = _alone(agenda(chosen, effort, only or (), [*(against or ()), *(peers or ())]), picture)
+    if json_file is not None:
+        write_text(json_file, json.dumps(report, indent=1) + "\n")
+        out.print(f"wrote {json_file}")
     if picture is not None:
-        from fovconn_env.training.bench.picture import KINDS, plot
+        from fovconn_env.training.bench.picture import plot
+
+        plot(report, picture)
+        out.print(f"wrote {picture}")
+
+
+def _alone(todo: Agenda, picture: Path | None) -> dict[str, Any]:
+    """Time this tree and show what came out: the record."""
+    from fovconn_env.training.bench.report import bar_table, machine_line, rate_table, record, restless
+
+    if picture is not None:
+        from fovconn_env.training.bench.picture import KINDS
 
         if picture.suffix not in KINDS:
             raise ValueError(f"--plot must end in one of {', '.join(KINDS)}, got {str(picture)!r}")
-    check_writable({"--json": json_file, "--plot": picture})
+    chosen, effort = todo.scenario, todo.effort
     with progress() as bar:
         warm_up(bar, chosen, "expert")
         task = bar.add_task("timing", total=None)
@@ -57,15 +80,34 @@ def command(
     report = record(result)
     out.print(grid(f"{chosen.name}, medians of {effort.repetitions} repetitions", *rate_table(report)))
     out.print()
+    quick = effort.seconds < FULL.seconds
     out.print(grid("ratios of a repetition, medians" + ", too quick for the bars" * quick, *bar_table(report)))
     out.print(f"\n{machine_line(report)}", highlight=False)
     if restless(report):
         out.print(restless(report), style="yellow", highlight=False)
     for line in report["missing"]:
         out.print(f"not timed: {line}", highlight=False, markup=False)
-    if json_file is not None:
-        write_text(json_file, json.dumps(report, indent=1) + "\n")
-        out.print(f"wrote {json_file}")
-    if picture is not None:
-        plot(report, picture)
-        out.print(f"wrote {picture}")
+    return report
+
+
+def _beside(baseline: Path, base: str, settings: dict[str, Any], effort: Effort, only: Sequence[str]) -> dict[str, Any]:
+    """Time this tree beside another and show what came out: the record."""
+    from fovconn_env.training.bench.paired import PAIRED, USUAL, compare_speed, record
+    from fovconn_env.training.bench.report import bar_table
+
+    groups = check_groups(only or USUAL, PAIRED)
+    with progress() as bar:
+        task = bar.add_task("timing", total=None)
+        ratios = compare_speed(
+            baseline,
+            base,
+            settings,
+            effort,
+            groups,
+            lambda name, done, total: bar.update(task, description=name, completed=done, total=total),
+        )
+        bar.update(task, description="timed", total=1, completed=1)
+    report = record(ratios, base, settings, effort)
+    title = f"{base}, {effort.repetitions} repetitions in turn with {baseline}"
+    out.print(grid(title, *bar_table(report)))
+    return report

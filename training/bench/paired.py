@@ -1,0 +1,116 @@
+"""This tree's speed beside another tree's: both run at once and take turns, so that a drift of the machine meets both.
+
+Both run the cases of this tree, each on its own code, and make the same calls: equal flights, if the trees are equal.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from fovconn_env.training.bench.cases import Effort
+from fovconn_env.training.bench.report import Bar, judged, machine, versions
+from fovconn_env.training.bench.trees import HERE, Pipes, running
+
+PAIRED = ("parallel", "vector", "expert", "dynamics", "reset", "density")  # groups whose cases run in older trees, too
+USUAL = ("parallel", "vector")  # timed where none is named
+LAP = 2e-3  # s, at least one call: a short lap is seldom interrupted, so that a median leaves the busy ones out
+LEAST = 0.98  # a change that costs more speed than this must say why
+CASES = Path(__file__).with_name("cases.py")
+
+# `load_policy` and `VectorEnv` come from PRELUDE, which finds them in older trees, too.
+TIME = """
+import ast, gc, types
+
+sys.modules.setdefault("fovconn_env.baselines", types.SimpleNamespace(load_policy=load_policy))
+sys.modules.setdefault("fovconn_env.envs.vector", types.SimpleNamespace(VectorEnv=VectorEnv))
+names = {"__name__": "cases"}
+exec(compile(arguments["source"], "cases.py", "exec"), names)
+chosen = scenario(arguments["scenario"], **ast.literal_eval(arguments["settings"]))
+effort = names["Effort"](**arguments["effort"])
+chosen_plans = [plan for plan in names["plans"](chosen, effort, []) if plan.group in arguments["groups"]]
+cases = {plan.key: plan.make() for plan in chosen_plans}
+gc.collect()
+gc.freeze()
+print(json.dumps([[plan.key, plan.name] for plan in chosen_plans]), flush=True)
+for line in sys.stdin:
+    key, calls = json.loads(line)
+    print(sum(cases[key].call()[0] for _ in range(calls)), flush=True)
+"""
+
+
+class Ratio(NamedTuple):
+    """How many times as fast as the other tree's this tree's case is: the median of each repetition's pairs of laps."""
+
+    key: str
+    name: str
+    each: list[float]
+
+
+def compare_speed(
+    baseline: Path,
+    base: str,
+    settings: dict[str, Any],
+    effort: Effort,
+    groups: Sequence[str] = USUAL,
+    progress: Callable[[str, int, int], None] = lambda name, done, total: None,
+) -> list[Ratio]:
+    """Time the cases of some groups in this tree and in `baseline`, for a preset `base` with settings changed.
+
+    `progress` is told the name of what comes next, laps done and laps in all. Raises as `trees.running`.
+    """
+    arguments = {
+        "source": CASES.read_text("utf-8"),
+        "scenario": base,
+        "settings": repr(settings),
+        "effort": effort._asdict(),
+        "groups": list(groups),
+    }
+    with ExitStack() as stack:
+        trees = [stack.enter_context(running(tree, TIME, arguments)) for tree in (HERE, baseline)]
+        progress("loading (compiles once, ~20 s)", 0, 1)
+        plans, _ = [tree.read() for tree in trees]
+        sizes = {key: _size(trees, key, effort.seconds) for key, _ in plans}
+        each: dict[str, list[float]] = {key: [] for key, _ in plans}
+        for repetition in range(effort.repetitions):
+            for k, (key, name) in enumerate(plans):
+                progress(name, repetition * len(plans) + k, effort.repetitions * len(plans))
+                pairs, calls = sizes[key]
+                each[key].append(statistics.median(_pair(trees, key, calls, n) for n in range(pairs)))
+    return [Ratio(key, name, each[key]) for key, name in plans]
+
+
+def record(ratios: Sequence[Ratio], base: str, settings: dict[str, Any], effort: Effort) -> dict[str, Any]:
+    """Everything about a comparison that is worth keeping, as `report.record` of the cases of one tree."""
+    bars = [Bar(f"{ratio.name}, this tree / baseline", ratio.key, (), LEAST) for ratio in ratios]
+    return {
+        "finished": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "machine": machine(),
+        "versions": versions(),
+        "scenario": base,
+        "settings": settings,
+        "effort": effort._asdict(),
+        "memory": None,
+        "ratios": [judged(bar, ratio.each) for bar, ratio in zip(bars, ratios, strict=True)],
+    }
+
+
+def _size(trees: Sequence[Pipes], key: str, seconds: float) -> tuple[int, int]:
+    """Pairs of laps in a repetition of so many seconds a tree, at least two, and calls in a lap."""
+    calls = 1
+    while True:
+        spent = min(tree.ask([key, calls]) for tree in trees)
+        if spent >= LAP:
+            return max(2, round(seconds / spent)), calls
+        calls *= 2
+
+
+def _pair(trees: Sequence[Pipes], key: str, calls: int, n: int) -> float:
+    """The other tree's time over this tree's, for a lap of each; who begins alternates with `n`."""
+    order = (0, 1) if n % 2 == 0 else (1, 0)
+    spent = {k: trees[k].ask([key, calls]) for k in order}
+    return spent[1] / spent[0]
