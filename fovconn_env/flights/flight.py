@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fovconn_env.flights.recording import Recording, outcome, play_back
+from fovconn_env.flights.recording import Recording, outcome, replay
 from fovconn_env.flights.rollout import Observer, steps
 from fovconn_env.scenarios.presets import Scenario
 from fovconn_env.sim.simulator import Simulator
@@ -113,10 +113,9 @@ def fly(
 
 
 def from_recording(recording: Recording, *, force: bool = False) -> Flight:
-    """Compute a recorded flight again; raises and takes `force` as `recording.play_back`."""
+    """Compute a recorded flight again; raises and takes `force` as `recording.replay`."""
     film = Film()
-    for _ in play_back(recording, force=force, observers=[film]):
-        pass
+    replay(recording, force=force, observers=[film])
     return film.flight()
 
 

@@ -216,9 +216,9 @@ def play_back(recording: Recording, *, force: bool = False, observers: Sequence[
         raise _mismatch(recording, since, len(recording.actions))
 
 
-def replay(recording: Recording, *, force: bool = False) -> Simulator:
-    """Compute a flight again to its end; raises and takes `force` as `play_back`."""
-    *_, simulator = play_back(recording, force=force)
+def replay(recording: Recording, *, force: bool = False, observers: Sequence[Observer] = ()) -> Simulator:
+    """Compute a flight again to its end; raises, and takes `force` and `observers`, as `play_back`."""
+    *_, simulator = play_back(recording, force=force, observers=observers)
     return simulator
 
 

@@ -44,18 +44,24 @@ def test_episodes_are_what_was_flown(episodes, tmp_path):
 
 
 def test_recorded_flights_become_episodes():
-    """Flown by hand and broken off after 7 steps: the same observations, actions and rewards as in the air."""
+    """Flown by hand and broken off after 7 steps: the same observations, actions and rewards as in the air.
+
+    An observation is what the policy decided on: with the stick that was pushed before the step, not after it.
+    """
     hand = small(**SHORT, leader="human")
     recorder = Recorder(Simulator(hand), ["human", "expert", "expert", "expert"])
-    seen, did, got = [recorder.reset(3).copy()], [], []
+    seen, did, got = [], [], []
+    recorder.reset(3)
     expert = Expert(hand)
     for t in range(7):
         recorder.simulator.push([0.1 * t, 0.0, 0.0])
+        seen.append(recorder.simulator.observations.copy())
         actions = expert.act(recorder.simulator.observations).astype(np.float64)
         actions[0, 0] = [1.5, 0.0, 0.0, 0.2]  # a hand on the stick, too far
         did.append(np.clip(actions[0], -1.0, 1.0))
-        seen.append(recorder.step(actions).copy())
+        recorder.step(actions)
         got.append(recorder.simulator.rewards[0].copy())
+    seen.append(recorder.simulator.observations.copy())
     found = datasets.from_recordings([recorder.recording(), recorder.recording()])
     assert found.header["policy"] == "human, expert"
     assert found.arrays["length"].tolist() == [7] * 8

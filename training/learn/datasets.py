@@ -26,7 +26,8 @@ from fovconn_env.baselines import Policy, find_policy
 from fovconn_env.baselines.learned.inputs import columns, full_scale
 from fovconn_env.errors import rule
 from fovconn_env.files import Archive, Kind, read_archive, write_archive
-from fovconn_env.flights.recording import play_back
+from fovconn_env.flights.recording import replay
+from fovconn_env.flights.rollout import Observer, rollout
 from fovconn_env.training.evaluation.flights import label
 from fovconn_env.training.evaluation.results import plain
 
@@ -61,6 +62,51 @@ class Episodes(NamedTuple):
         return self.arrays["observations"][keep], self.arrays["actions"]
 
 
+class Transitions(Observer):
+    """Keeps what all robots of all worlds saw, did and got, step by step."""
+
+    def begin(self, simulator: Simulator) -> None:
+        """Start anew."""
+        self.simulator = simulator
+        self._steps: dict[str, list[np.ndarray]] = {
+            name: [] for name in ("observations", "actions", "rewards", "going")
+        }
+        self._split = np.zeros(simulator.n_worlds, bool)
+
+    def before_step(self, actions: np.ndarray) -> None:
+        """What the robots saw when they decided, and what they did."""
+        simulator, steps = self.simulator, self._steps
+        steps["observations"].append(simulator.observations.copy())
+        steps["actions"].append(np.clip(actions, -1.0, 1.0))
+        steps["going"].append(~simulator.over)
+
+    def update(self) -> None:
+        """What they got."""
+        self._steps["rewards"].append(self.simulator.rewards.copy())
+        self._split |= self._steps["going"][-1] & (self.simulator.infos["connected"][:, 0] == 0.0)
+
+    def episodes(self) -> dict[str, np.ndarray]:
+        """All so far as episodes of single robots, world by world: the arrays of `Episodes`."""
+        simulator, steps = self.simulator, self._steps
+        observations = np.stack([*steps["observations"], simulator.observations])
+        actions, rewards, going = (np.stack(steps[name]) for name in ("actions", "rewards", "going"))
+        episode = simulator.state.episode
+        parts: dict[str, list[np.ndarray]] = {name: [] for name in KINDS}
+        for b, length in enumerate(going.sum(axis=0).tolist()):
+            ends = np.arange(length) == length - 1
+            terminated = bool(episode["terminated"][b])
+            for i in range(simulator.scenario.n_agents):
+                parts["observations"].append(observations[: length + 1, b, i])
+                parts["actions"].append(actions[:length, b, i])
+                parts["rewards"].append(rewards[:length, b, i])
+                parts["terminations"].append(ends & terminated)
+                parts["truncations"].append(ends & (not terminated))
+                own = (length, simulator.seeds[b], i, bool(episode["success"][b]), not self._split[b])
+                for name, value in zip(EPISODES, own, strict=True):
+                    parts[name].append(np.array([value]))
+        return {name: np.concatenate(rows).astype(KINDS[name]) for name, rows in parts.items()}
+
+
 def record(
     policy: str | type[Policy],
     scenario: Scenario,
@@ -68,24 +114,12 @@ def record(
     *,
     progress: Callable[[float], None] = lambda done: None,
 ) -> Episodes:
-    """Fly a policy once from every seed and keep all that every robot saw, did and got."""
+    """Fly a policy once from every seed and keep all that every robot saw, did and got; raises as `rollout`."""
     kind = find_policy(policy) if isinstance(policy, str) else policy
-    simulator = Simulator(kind.equip(scenario), len(seeds), starts=scenario)
-    pilot = kind(simulator.scenario)
-    flights: dict[str, list[np.ndarray]] = {name: [] for name in ("observations", "actions", "rewards", "going")}
-    observations, split = simulator.reset(list(seeds)), np.zeros(len(seeds), bool)
-    while not simulator.over.all():
-        going = ~simulator.over
-        actions = np.where(going[:, None, None], pilot.act(observations), 0.0).astype(np.float32)
-        flights["observations"].append(observations.copy())
-        observations = simulator.step(actions)
-        split |= going & (simulator.infos["connected"][:, 0] == 0.0)
-        for name, array in (("actions", actions), ("rewards", simulator.rewards), ("going", going)):
-            flights[name].append(array.copy())
+    transitions = Transitions()
+    for simulator in rollout(kind, scenario, seeds, observers=[transitions]):
         progress(float(simulator.over.mean()))
-    flights["observations"].append(observations.copy())
-    stacked = {name: np.stack(parts) for name, parts in flights.items()}
-    return Episodes(_episodes(simulator, stacked, seeds, split), _header(label(policy), simulator.scenario))
+    return Episodes(transitions.episodes(), _header(label(policy), transitions.simulator.scenario))
 
 
 def from_recordings(
@@ -103,15 +137,9 @@ def from_recordings(
         rule(not differing, "flights", "of the same settings", f"others in {', '.join(differing)}", hint)
     parts = []
     for done, recording in enumerate(recordings, start=1):
-        observations, rewards, split = [], [], np.zeros(1, bool)
-        for simulator in play_back(recording):
-            observations.append(simulator.observations.copy())
-            rewards.append(simulator.rewards.copy())
-            split |= simulator.infos["connected"][:, 0] == 0.0
-        flown = {"observations": np.stack(observations), "rewards": np.stack(rewards[1:])}
-        flown |= {"actions": np.clip(recording.actions[:, None], -1.0, 1.0)}
-        flown |= {"going": np.ones((len(recording.actions), 1), bool)}
-        parts.append(_episodes(simulator, flown, [recording.seed], split))
+        transitions = Transitions()
+        replay(recording, observers=[transitions])
+        parts.append(transitions.episodes())
         progress(done / len(recordings))
     arrays = {name: np.concatenate([part[name] for part in parts]) for name in KINDS}
     pilots = dict.fromkeys(pilot for recording in recordings for pilot in recording.policies)
@@ -123,28 +151,6 @@ def _header(policy: str, scenario: Scenario) -> dict[str, Any]:
     header |= {"scenario": plain(scenario), "columns": columns()}
     header |= {"max_neighbors": scenario.max_neighbors, "max_ranges": scenario.max_ranges}
     return header | {"action_units": full_scale(scenario).tolist()}
-
-
-def _episodes(
-    simulator: Simulator, flown: dict[str, np.ndarray], seeds: Sequence[int], split: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Flights (T, B, ...) as episodes of single robots, world by world."""
-    n, episode = simulator.scenario.n_agents, simulator.state.episode
-    lengths = flown["going"].sum(axis=0)
-    parts: dict[str, list[np.ndarray]] = {name: [] for name in KINDS}
-    for b, length in enumerate(lengths.tolist()):
-        ends = np.arange(length) == length - 1
-        terminated = bool(episode["terminated"][b])
-        for i in range(n):
-            parts["observations"].append(flown["observations"][: length + 1, b, i])
-            parts["actions"].append(flown["actions"][:length, b, i])
-            parts["rewards"].append(flown["rewards"][:length, b, i])
-            parts["terminations"].append(ends & terminated)
-            parts["truncations"].append(ends & (not terminated))
-            own = (length, seeds[b], i, bool(episode["success"][b]), not split[b])
-            for name, value in zip(EPISODES, own, strict=True):
-                parts[name].append(np.array([value]))
-    return {name: np.concatenate(rows).astype(KINDS[name]) for name, rows in parts.items()}
 
 
 def save(episodes: Episodes, file: str | Path) -> Path:
