@@ -31,7 +31,7 @@ class Flight(NamedTuple):
     yaw_valid: np.ndarray  # (T, N, N) bool
     alive: np.ndarray  # (T, N) bool, False where a fault has the whole robot down
     waypoints: np.ndarray  # (W, 3)
-    pieces: np.ndarray  # (P,) obstacles, kernel.types.PIECE, only the used ones
+    pieces: np.ndarray  # (P,) obstacles, kernel.records.PIECE, only the used ones
     vertices: np.ndarray  # (V, 2)
     outcome: str  # one of recording.OUTCOMES
     leader: np.ndarray  # (T,) the robot that leads in the step that begins here
