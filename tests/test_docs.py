@@ -16,7 +16,7 @@ from PIL import Image
 from fovconn_env import PRESETS, Scenario, Simulator, layout, scenario
 from fovconn_env.baselines import POLICIES, Gains
 from fovconn_env.flights.metrics import ERRORS, Meter
-from fovconn_env.kernel import records
+from fovconn_env.kernel import records, step
 
 ROOT = Path(__file__).parents[1]
 FILES = (ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -229,6 +229,16 @@ def test_functions_in_the_symbol_table_exist():
     for function, file in found:
         module = file.removeprefix("fovconn_env/").replace("/", ".")
         assert callable(getattr(importlib.import_module(f"fovconn_env.{module}"), function))
+
+
+def test_stages_of_a_step_are_called_as_the_architecture_says():
+    chart = re.search(
+        r"^## How a step runs\n(.*?)^There is", PAGES["docs/architecture.md"].read_text("utf-8"), re.M | re.S
+    )
+    stages = re.findall(r"^        [| ]*((?:\w+, )*\w+)  +", chart[1], re.MULTILINE)
+    assert len(stages) > 15
+    for name in ", ".join(stages).split(", "):
+        assert callable(getattr(step, name))
 
 
 def test_new_places_in_the_changelog_exist():
