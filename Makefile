@@ -15,7 +15,7 @@ PIP := $(BIN)/python $(INSTALL) -c constraints.txt
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help demo results test test-fast test-integrations lint format clean
+.PHONY: help demo results test test-fast test-integrations lint format dist clean
 .NOTPARALLEL:
 
 help:  ## list the targets
@@ -25,11 +25,11 @@ help:  ## list the targets
 demo: $(VENV)/installed-demo  ## the paper's experiment: a table here, figures and an animation in out/demo/
 	$(BIN)/fovconn demo $(ARGS)
 
-test: $(VENV)/installed-test  ## the whole suite, then the part of it that also runs without the JIT
+test: $(VENV)/installed-dev  ## the whole suite, then the part of it that also runs without the JIT
 	$(PYTEST)
 	NUMBA_DISABLE_JIT=1 $(PYTEST) -m nojit
 
-test-fast: $(VENV)/installed-test  ## the suite without its long statistics
+test-fast: $(VENV)/installed-dev  ## the suite without its long statistics
 	$(PYTEST) -m "not slow" $(ARGS)
 
 test-integrations: $(LIBRARIES)/current/installed $(LIBRARIES)/older/installed  ## docs/examples, each with its library (torch, 3 GB)
@@ -59,6 +59,11 @@ format: $(VENV)/installed-dev  ## let ruff format the code and sort the imports
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+dist: $(VENV)/installed-demo $(LIBRARIES)/twine/installed  ## build the sdist and the wheel in dist/, and check them
+	rm -rf dist
+	$(BIN)/python -m hatchling build
+	$(LIBRARIES)/twine/bin/twine check --strict dist/*
+
 clean:  ## remove the virtual environments, caches and builds; out/ stays
 	rm -rf $(VENV) $(LIBRARIES) build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
@@ -74,17 +79,19 @@ $(VENV)/created:
 $(VENV)/installed-demo: pyproject.toml constraints.txt $(VENV)/created
 	@echo "installing the package and what the demo needs (about 20 s) ..."
 	@$(PIP) hatchling editables
-	@$(PIP) -e '.[demo]'
-	@touch $@
-
-$(VENV)/installed-test: $(VENV)/installed-demo
-	@echo "installing what the tests need (about 5 s) ..."
-	@$(PIP) -e '.[demo,test]'
+	@$(PIP) -e '.[cli,render]'
 	@touch $@
 
 $(VENV)/installed-dev: $(VENV)/installed-demo
-	@echo "installing ruff and pyright (about 5 s) ..."
-	@$(PIP) -e '.[demo,dev]'
+	@echo "installing what tests and lint need (about 10 s) ..."
+	@$(PIP) -e '.[dev]'
+	@touch $@
+
+$(LIBRARIES)/twine/installed: constraints.txt
+	@echo "installing twine in $(@D) (about 5 s) ..."
+	@rm -rf $(@D)
+	@$(PYTHON) -m venv $(@D)
+	@$(@D)/bin/python -m pip install -qq --disable-pip-version-check --no-compile -c constraints.txt twine
 	@touch $@
 
 # One virtual environment for each list of versions in tests/integrations/; made anew when that list changed.

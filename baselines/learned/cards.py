@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import safetensors.numpy
 
 from fovconn_env.baselines.laws.augmented import Augmented
 from fovconn_env.baselines.laws.cohesive import Cohesive
@@ -48,7 +49,7 @@ class Card:
 
 def write(file: Path, arrays: Mapping[str, np.ndarray], **told: Any) -> Card:
     """Write weights and card, both or, after an `OSError`, none."""
-    data = _safetensors().save({name: np.ascontiguousarray(array, np.float32) for name, array in arrays.items()})
+    data = safetensors.numpy.save({name: np.ascontiguousarray(array, np.float32) for name, array in arrays.items()})
     columns, meaning = inputs.columns(), inputs.fingerprint()
     card = Card(columns=columns, inputs=meaning, sha256=hashlib.sha256(data).hexdigest(), **told)
     text = json.dumps(dataclasses.asdict(card), indent=1) + "\n"
@@ -67,9 +68,8 @@ def read(file: Path, names: Mapping[str, Sequence[str]]) -> tuple[Card, dict[str
     found = hashlib.sha256(data).hexdigest()
     hint = "truncated or changed since; copy both files again"
     rule(found == card.sha256, f"sha256 of {file}", f"what its card says ({card.sha256[:12]})", found[:12], hint)
-    library = _safetensors()
     try:
-        arrays = library.load(data)
+        arrays = safetensors.numpy.load(data)
     except Exception as problem:  # SafetensorError and what numpy raises; the library lists none
         raise ValueError(f"{file} must be a safetensors file, got {len(data)} bytes: {problem}") from problem
     wanted, there = set(names[card.network]), set(arrays)
@@ -122,12 +122,3 @@ def read_card(file: Path) -> Card:
     mine = inputs.fingerprint()
     rule(card.inputs == mine, f"inputs of {place}", f"{mine}, as this version scales them", card.inputs, hint)
     return card
-
-
-def _safetensors() -> Any:
-    try:
-        import safetensors.numpy
-    except ImportError as problem:
-        hint = 'pip install "fovconn-env[policies]"'
-        raise ValueError(f"learned policies must have the package safetensors, got {problem}: {hint}") from problem
-    return safetensors.numpy

@@ -40,7 +40,7 @@ def read_svg(text: str, file: str, scale: float, max_corners: int) -> list[tuple
     try:
         import svgpathtools  # noqa: F401
     except ModuleNotFoundError as problem:
-        hint = "pip install 'fovconn-env[maps]'"
+        hint = "pip install 'fovconn-env[cli]'"
         raise ValueError(f"{file}: an .svg map must be read with svgpathtools, got {problem}: {hint}") from problem
     root = _root(text, file)
     upright = np.diag([scale, -scale, 1.0])

@@ -17,7 +17,6 @@ from fovconn_env.training.evaluation.campaign import Cell, fingerprint
 from fovconn_env.training.evaluation.flights import label
 from tests.helpers import SETTLED, few, recorded_actions, small
 
-pytest.importorskip("safetensors")
 pytestmark = pytest.mark.nojit
 
 ROOT = Path(__file__).parents[2]

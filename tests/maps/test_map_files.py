@@ -381,7 +381,7 @@ def test_groups_nest_as_deep_as_they_like(tmp_path):
 
 def test_without_the_package_the_error_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "svgpathtools", None)
-    with pytest.raises(ValueError, match=r"yard.svg: .*svgpathtools.*pip install 'fovconn-env\[maps\]'"):
+    with pytest.raises(ValueError, match=r"yard.svg: .*svgpathtools.*pip install 'fovconn-env\[cli\]'"):
         drawn(tmp_path, '<circle r="1"/>')
 
 

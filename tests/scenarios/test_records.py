@@ -1,10 +1,7 @@
-"""Settings, switches and records fit together. Which way imports point: `lint-imports`, pyproject.toml."""
+"""Settings, switches and records fit together."""
 
 import dataclasses
-import subprocess
-import sys
 import typing
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,18 +20,6 @@ from fovconn_env.scenarios.leader import Recorded
 from fovconn_env.scenarios.presets import PRESETS, SWITCHES, Scenario, scenario
 
 pytestmark = pytest.mark.nojit
-
-ROOT = Path(__file__).parents[2]
-
-
-def test_importing_the_environment_loads_nothing_heavy():
-    """Pictures and learning are imported on first use."""
-    program = "import sys, fovconn_env, fovconn_env.baselines; print(*sorted(m.split('.')[0] for m in sys.modules))"
-    run = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
-    loaded = set(run.stdout.split())
-    assert "fovconn_env" in loaded
-    # scipy comes with numba where it is installed
-    assert not loaded & {"torch", "stable_baselines3", "matplotlib", "PIL", "pygame", "training", "typer", "rich"}
 
 
 # -------------------------------------------------------------------------------------------- settings and records

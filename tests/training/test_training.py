@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 pytest.importorskip("stable_baselines3")
-pytest.importorskip("safetensors")
 
 import torch
 from gymnasium import spaces

@@ -74,10 +74,10 @@ def agenda(chosen: Scenario, effort: Effort, only: Sequence[str] = (), against: 
     if importlib.util.find_spec("stable_baselines3") is None:
         lost = [group for group in groups if group in ("sb3", "ppo")]
         groups = [group for group in groups if group not in lost]
-        missing += [f"{group}: needs stable-baselines3, pip install -e '.[learn]'" for group in lost]
+        missing += [f"{group}: needs stable-baselines3, pip install 'fovconn-env[learn]'" for group in lost]
     if "render" in groups and importlib.util.find_spec("pygame") is None:
         groups.remove("render")
-        missing.append("render: needs pygame-ce, pip install -e '.[render]'")
+        missing.append("render: needs pygame-ce, pip install 'fovconn-env[render]'")
     todo = [plan for plan in plans(chosen, effort, peers) if plan.group in (*groups, "peers")]
     return Agenda(chosen, effort, todo, "memory" in groups, missing)
 

@@ -77,7 +77,7 @@ def command(
         count = len(cells) * len(numbers)
         out.print(f"recorded {count} flights in {recordings}", highlight=False, soft_wrap=True)
     if not any(file.suffix == ".html" for file in written):
-        out.print('no report: it needs matplotlib, pip install "fovconn-env[demo]"', style="yellow", markup=False)
+        out.print('no report: it needs matplotlib, pip install "fovconn-env[render]"', style="yellow", markup=False)
 
 
 def _show(comparison: Comparison) -> None:

@@ -1,0 +1,39 @@
+"""What an import loads, and what messages say to install. Which way imports point: `lint-imports`, pyproject.toml."""
+
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+HEAVY = {"PIL", "av", "jinja2", "matplotlib", "pyarrow", "pygame", "rich", "stable_baselines3", "torch", "typer"}
+
+
+def test_importing_the_environment_loads_nothing_heavy():
+    """Pictures and learning are imported on first use."""
+    program = "import sys, fovconn_env, fovconn_env.baselines; print(*sorted(sys.modules))"
+    run = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    loaded = set(run.stdout.split())
+    assert "fovconn_env.baselines" in loaded
+    # scipy comes with numba where it is installed
+    assert not HEAVY & {name.partition(".")[0] for name in loaded}
+    assert not {name for name in loaded if name.startswith(("fovconn_env.training", "fovconn_env.render"))}
+
+
+def test_the_environment_loads_no_policy():
+    program = "import sys, fovconn_env; print(*sorted(sys.modules))"
+    run = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert not {name for name in run.stdout.split() if name.startswith("fovconn_env.baselines")}
+
+
+def test_extras_that_are_named_exist():
+    """In messages, docstrings, pages, the Makefile and pyproject.toml itself."""
+    text = (ROOT / "pyproject.toml").read_text("utf-8")
+    extras = tomllib.loads(text)["project"]["optional-dependencies"]
+    folders = [ROOT / name for name in ("fovconn_env", "baselines", "training", "docs", "tests/integrations")]
+    files = [file for folder in folders for suffix in ("py", "md", "ipynb") for file in folder.rglob(f"*.{suffix}")]
+    texts = [file.read_text("utf-8") for file in (*files, ROOT / "README.md", ROOT / "Makefile")]
+    named = [extra for page in (text, *texts) for extra in re.findall(r"(?:fovconn-env|['\"]\.)\[([\w,]+)\]", page)]
+    assert len(named) > 10
+    assert {extra for names in named for extra in names.split(",")} <= set(extras)
