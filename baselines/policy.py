@@ -11,7 +11,7 @@ import numpy as np
 
 from fovconn_env.layout import Rows, rows
 from fovconn_env.scenarios import presets
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 
 Observation = Mapping[str, np.ndarray] | np.ndarray
 

@@ -22,10 +22,10 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # runs from a clone without an install, too
 
-from fovconn_env import layout
+from fovconn_env import Scenario, layout
 from fovconn_env.baselines import Gains, find_policy
 from fovconn_env.layout import Column
-from fovconn_env.scenarios import presets, settings
+from fovconn_env.scenarios import settings
 from fovconn_env.training.bench.report import bar_table, machine_line, rate_table, restless
 from fovconn_env.training.play import gamepad, keyboard
 
@@ -63,7 +63,7 @@ def keys_table(name: str) -> str:
 def layout_table(name: str) -> str:
     """The Markdown table of a layout table; the columns of one vector share a row."""
     if name == "scales":
-        values = presets.Scenario().scales()
+        values = Scenario().scales()
         rows = [[f"`{scale}`", f"`{rule}`", f"{values[scale]:g}"] for scale, rule in SCALES.items()]
         return _markdown(["bound", "setting", "by default"], rows)
     if name == "LOST_LINK":
@@ -83,7 +83,7 @@ def layout_table(name: str) -> str:
 
 def settings_table(name: str) -> str:
     """The Markdown table of a settings class, from its source: field, default, choices or comment."""
-    kind = {"Gains": Gains, "Scenario": presets.Scenario}.get(name) or getattr(settings, name)
+    kind = {"Gains": Gains, "Scenario": Scenario}.get(name) or getattr(settings, name)
     rows = []
     for field, annotation, default, comment in _FIELD.findall(inspect.getsource(kind)):
         factory = re.fullmatch(r"field\(default_factory=(\w+)\)", default)
@@ -179,7 +179,7 @@ def _vector(column: Column) -> tuple:
 
 
 def _interval(column: Column) -> str:
-    scales = presets.Scenario().scales()
+    scales = Scenario().scales()
     low, high = (
         scales[bound.removeprefix("-")] * (-1 if bound.startswith("-") else 1) if isinstance(bound, str) else bound
         for bound in (column.low, column.high)

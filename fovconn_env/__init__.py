@@ -18,7 +18,8 @@ from fovconn_env.maps.corridor import Corridor
 from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios.leader import Recorded
-from fovconn_env.scenarios.presets import LEVELS, PRESETS, Scenario, scenario
+from fovconn_env.scenarios.presets import LEVELS, PRESETS, scenario
+from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.scenarios.settings import (
     Airframe,
     Camera,

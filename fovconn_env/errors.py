@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import math
 import numbers
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +23,12 @@ class SettingTypeError(SettingError, TypeError):
 def unknown_keyword(call: str, name: str, hint: str) -> SettingTypeError:
     """The error of a call with a keyword that there is not; the first part is Python's own."""
     return SettingTypeError(f"{call}() got an unexpected keyword argument {name!r}: {hint}")
+
+
+def closest(value: object, words: Sequence[str]) -> str:
+    """A hint: the word that is most like a value, or all there are."""
+    near = difflib.get_close_matches(str(value), words, n=1, cutoff=0.4)
+    return f"did you mean {near[0]!r}?" if near else f"there are {', '.join(words)}"
 
 
 def rule(holds: bool, field: str, says: str, value: object, hint: str) -> None:

@@ -12,7 +12,8 @@ from fovconn_env import layout
 from fovconn_env.kernel import records
 from fovconn_env.kernel.jit import entry
 from fovconn_env.kernel.maths import spectrum
-from fovconn_env.scenarios.presets import Scenario, scenario
+from fovconn_env.scenarios.presets import scenario
+from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.scenarios.settings import Course
 from fovconn_env.sim.memory import place
 from fovconn_env.sim.simulator import Simulator
@@ -21,7 +22,7 @@ from tests import reference as ref
 JIT = not config.DISABLE_JIT
 SETTLED = Course(settle=0.0)  # the operator moves from the beginning
 MOTION = tuple(column.name for column in layout.SELF[:6])  # what odometry and IMU measure
-KINDS = ("union", "product", "omni")  # scenarios.SWITCHES["weight"]
+KINDS = ("union", "product", "omni")  # scenarios.params.SWITCHES["weight"]
 
 
 def few(many: int, without_jit: int) -> int:

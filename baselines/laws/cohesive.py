@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fovconn_env.baselines.laws.augmented import Augmented, AugmentedGains
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 
 
 @dataclass(frozen=True, kw_only=True)

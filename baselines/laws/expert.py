@@ -17,7 +17,7 @@ from fovconn_env.kernel.maths.geometry import tilt
 from fovconn_env.kernel.maths.weights import weight_gradient
 from fovconn_env.kernel.onboard.relative_yaw import NONE
 from fovconn_env.kernel.world.kinematics import saturate
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 
 _GAINS = "k_v clamp k_obs d_min_obs d_max_obs closest excite forward gather".split()
 GAINS = np.dtype((np.record, [(name, "f8") for name in _GAINS]))

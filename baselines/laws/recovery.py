@@ -6,7 +6,7 @@ import numpy as np
 
 from fovconn_env.baselines.laws.expert import Expert, Gains
 from fovconn_env.baselines.laws.simple import bearings, look, steer
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 
 # place: where it last knew its nearest neighbour; goal: where it last had a good link, then the way to that place.
 # home: where it was when the team was last whole. All in m from the robot, yaw frame, by its own odometry.

@@ -27,7 +27,7 @@ from fovconn_env.errors import check_numbers, non_negative, positive
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.world.kinematics import saturate
 from fovconn_env.layout import rows
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 
 PREFIX = "safe:"
 _GROWTHS, _STEPS = 20, 60  # by a factor of 4, then of bisection: to the last bit

@@ -15,7 +15,7 @@ from fovconn_env.baselines.laws.expert import Expert
 from fovconn_env.baselines.policy import Policy
 from fovconn_env.kernel.jit import entry
 from fovconn_env.kernel.maths.random import draw, uniform
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 
 
 class Zero(Policy):

@@ -10,7 +10,7 @@ import hashlib
 import numpy as np
 
 from fovconn_env import layout
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 
 OWN, ROW, POINT = len(layout.SELF), len(layout.NEIGHBOR), len(layout.RANGE)
 ACTION = len(layout.ACTION)

@@ -29,7 +29,7 @@ from fovconn_env.baselines.learned.inputs import (
 )
 from fovconn_env.baselines.policy import Policy
 from fovconn_env.kernel.jit import entry, kernel
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 
 _ONE = np.float32(1.0)
 _HALF = np.float32(0.5)

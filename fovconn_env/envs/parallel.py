@@ -17,7 +17,8 @@ from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from fovconn_env import layout
 from fovconn_env.envs.viewer import FPS, RENDER_MODES, Viewer
 from fovconn_env.errors import as_numbers
-from fovconn_env.scenarios.presets import Scenario, scenario
+from fovconn_env.scenarios.presets import scenario
+from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.graph import Graph
 from fovconn_env.sim.simulator import Simulator
 

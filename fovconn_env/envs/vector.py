@@ -13,7 +13,8 @@ from gymnasium.vector.utils import batch_space
 from fovconn_env import layout
 from fovconn_env.envs.joint import TEAM_KEYS, joint_spaces
 from fovconn_env.errors import check_count
-from fovconn_env.scenarios.presets import Scenario, scenario
+from fovconn_env.scenarios.presets import scenario
+from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.graph import Graph
 from fovconn_env.sim.simulator import Simulator
 

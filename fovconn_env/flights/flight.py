@@ -9,7 +9,7 @@ import numpy as np
 
 from fovconn_env.flights.recording import Recording, outcome, replay
 from fovconn_env.flights.rollout import Observer, steps
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.simulator import Simulator
 
 

@@ -12,7 +12,7 @@ from fovconn_env.kernel.maths.weights import range_weight
 from fovconn_env.kernel.onboard.power_iteration import FLOODING
 from fovconn_env.kernel.world.faults import count_living
 from fovconn_env.kernel.world.outcome import FAULT, OCCLUSION, OWN_VIEW, RANGE, lost_link
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.simulator import Simulator
 
 WARM = 5.0  # s after the first motion from which the validity of yaw estimates counts

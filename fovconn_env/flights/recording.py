@@ -18,7 +18,7 @@ from fovconn_env.errors import rule
 from fovconn_env.files import RECORDING, Archive, Damaged, read_archive, write_archive
 from fovconn_env.flights.rollout import Observer, steps
 from fovconn_env.kernel.jit import source_hash
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.scenarios.serialize import scenario_from_json, scenario_to_json
 from fovconn_env.sim.simulator import Simulator
 from fovconn_env.version import __version__

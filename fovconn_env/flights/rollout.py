@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.simulator import Simulator
 
 

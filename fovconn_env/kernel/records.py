@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fovconn_env.layout import BROADCAST, INFO, NOTE, REWARDS, Column, record
+from fovconn_env.layout import BROADCAST, INFO, NOTE, Column, record
 
 Fields = list[tuple[str, str]]
 
@@ -29,43 +29,6 @@ def _columns(table: tuple[Column, ...]) -> Fields:
     fields = [(column.name, "b1" if column.unit == "0/1" else "f8") for column in table]
     return sorted(fields, key=lambda field: field[1])
 
-
-# ---------------------------------------------------------------------------------------------------- settings
-# Filled by Scenario.params(): each name is a field of one of the settings classes in scenarios.py, where unit and
-# meaning stand; only the names marked "derived" are computed there.
-PARAMS = _record(
-    [
-        ("tick", "f8"),  # s
-        ("ticks", "i8"),  # per step
-        ("rounds", "i8"),  # per tick
-        ("round_time", "f8"),  # s, derived: tick / rounds
-        ("travel_time", "f8"),  # s, derived: rounds a message travels
-        ("rest_ticks", "i8"),  # derived: after that long without a link nothing of it is left on board
-        ("step_time", "f8"),  # s, derived: tick * ticks
-        # switches: index of the chosen word in scenarios.SWITCHES, derived
-        *((name, "i8") for name in "dynamics weight lambda2 relative_yaw link leader".split()),
-        ("leader_index", "i8"),
-        *_numbers("speed_limit yaw_rate_limit stick_speed"),
-        *_numbers("d_min D1 D2 d_max a_min a_max axis_x axis_y axis_z miss coast"),
-        ("occlusion", "b1"),
-        *_numbers("range_max"),
-        *_numbers("loss memory liveness"),
-        *_numbers("yaw_k1 yaw_k2 yaw_k3 yaw_v_min yaw_v_max yaw_hold"),
-        ("yaw_product", "b1"),
-        ("yaw_lag_free", "b1"),
-        *_numbers("power_k1 power_k2 power_k3 power_g power_kp power_ki power_lead"),
-        *_numbers("flooding_memory"),
-        *_numbers("position_noise position_bias velocity_noise velocity_bias gyro_noise gyro_bias"),
-        *_numbers("attitude_noise attitude_bias range_noise range_bias"),
-        *_numbers("lambda2_min lambda2_max patience collision_robot collision_obstacle"),
-        *_numbers("settle climb pause goal_radius goal_lambda2 goal_hold"),
-        *_numbers("mass inertia_xy inertia_z arm thrust_gain drag_ratio rotor_min rotor_max rotor_lag substep"),
-        *_numbers("kp kv kq_tilt kq_yaw kw_tilt kw_yaw max_accel max_jerk max_tilt"),
-        *_numbers("rotor_noise force_noise force_time"),
-        *_numbers(" ".join(f"reward_{name}" for name in REWARDS)),
-        *_numbers("reward_near"),
-    ]
-)
 
 # --------------------------------------------------------------------------------------- fixed for an episode
 PIECE = _record(

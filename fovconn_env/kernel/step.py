@@ -44,7 +44,7 @@ from fovconn_env.kernel.world.radio import draw_losses, receive_message, write_b
 from fovconn_env.kernel.world.rangefinder import scan
 
 ADVANCE, BEGIN = range(2)
-KINEMATIC, QUADROTOR = range(2)  # scenarios.SWITCHES["dynamics"]
+KINEMATIC, QUADROTOR = range(2)  # scenarios.params.SWITCHES["dynamics"]
 bytes_per_table, bytes_per_beats = kernel(layout.bytes_per_table), kernel(layout.bytes_per_beats)
 
 

@@ -9,7 +9,7 @@ import functools
 import itertools
 from dataclasses import dataclass
 
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,7 @@ from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios import settings
 from fovconn_env.scenarios.leader import Recorded
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 
 _GROUPS = [kind for kind in vars(settings).values() if dataclasses.is_dataclass(kind) and isinstance(kind, type)]
 _KINDS: dict[str, type] = {kind.__name__: kind for kind in (Scenario, Forest, Corridor, Recorded, *_GROUPS)}

@@ -1,6 +1,6 @@
 """The groups of settings a scenario is made of: frozen, keyword-only, checked once. SI units, radians.
 
-The names are the kernels' (`kernel/records.py`, PARAMS). Defaults are the paper's Table I where it gives them and
+The names are the kernels' (`params.py`). Defaults are the paper's Table I where it gives them and
 docs/decisions.md where it does not.
 """
 

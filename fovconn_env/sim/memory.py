@@ -8,7 +8,7 @@ from fovconn_env import layout
 from fovconn_env.kernel import records
 from fovconn_env.kernel.maths.spectrum import N_VECTORS
 from fovconn_env.scenarios.leader import Recorded
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 
 NO_ACTIONS, NO_MASK = np.zeros((1, 1, 4)), np.zeros(1, bool)
 

@@ -19,7 +19,8 @@ from fovconn_env.errors import as_numbers, check_count, rule
 from fovconn_env.kernel import step
 from fovconn_env.kernel.world import operator
 from fovconn_env.scenarios.leader import Recorded
-from fovconn_env.scenarios.presets import SWITCHES, Scenario
+from fovconn_env.scenarios.params import SWITCHES
+from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.graph import Graph, observed_graph
 from fovconn_env.sim.memory import NO_ACTIONS, NO_MASK, allocate, clear, place, scratch
 from fovconn_env.sim.starts import EpisodeStart, StartSampler, draw_faults

@@ -16,7 +16,7 @@ from fovconn_env.kernel import records, step
 from fovconn_env.maps.corridor import Corridor
 from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.scenarios.settings import FAULTS
 from fovconn_env.sim.memory import NO_ACTIONS, allocate, clear, place, scratch
 

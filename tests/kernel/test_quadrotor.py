@@ -8,8 +8,9 @@ from numba.core import config
 
 from fovconn_env.kernel.jit import entry
 from fovconn_env.kernel.maths.geometry import tilt
-from fovconn_env.kernel.records import BODY, FLIGHT, PARAMS
+from fovconn_env.kernel.records import BODY, FLIGHT
 from fovconn_env.kernel.world import quadrotor
+from fovconn_env.scenarios.scenario import Scenario
 
 pytestmark = pytest.mark.nojit
 
@@ -25,7 +26,7 @@ DIRECTIONS = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0.6, 0.8, 0), (0, 0, 1), (0, 0,
 
 
 def params(**changes):
-    p = np.zeros(1, PARAMS)
+    p = np.zeros_like(Scenario().params())
     for name, value in (MODEL | changes).items():
         p[0][name] = value
     return p

@@ -16,7 +16,7 @@ from fovconn_env import scenario
 from fovconn_env.maps import files, svg
 from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import HIGH, LOW, Map
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 from tests.maps.test_maps import COMB, HIDDEN, SPIRAL, STAIR, U, blocks, example, inside_by_even_odd, star
 
 pytestmark = pytest.mark.nojit

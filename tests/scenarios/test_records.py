@@ -17,7 +17,9 @@ from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios import settings
 from fovconn_env.scenarios.leader import Recorded
-from fovconn_env.scenarios.presets import PRESETS, SWITCHES, Scenario, scenario
+from fovconn_env.scenarios.params import SWITCHES
+from fovconn_env.scenarios.presets import PRESETS, scenario
+from fovconn_env.scenarios.scenario import Scenario
 
 pytestmark = pytest.mark.nojit
 
@@ -76,25 +78,25 @@ GROUPS = {
     for field in dataclasses.fields(Scenario)
     if type(getattr(Scenario(), field.name)).__module__ == settings.__name__
 }
-DERIVED = {"round_time", "travel_time", "rest_ticks", "step_time", "axis_x", "axis_y", "axis_z", *SWITCHES}
-# Settings that kernels do not read: they shape the arrays, the start, or the array a kernel is handed.
-AT_RESET = {
-    "": {"name", "n_agents", "max_neighbors", "max_ranges", "max_cycles", "warmup", "map", "faults"},
+DERIVED = {*"round_time travel_time rest_ticks step_time axis_x axis_y axis_z power_team".split(), *SWITCHES}
+# Settings that are no number, or reach the kernels in others.
+NOT_PLAIN = {
+    "": {"name", "map", "faults"},
     "camera": {"optical_axis"},  # as axis_x, axis_y, axis_z
-    "radio": {"delay"},  # slots of the mail, and travel_time
+    "start": {"box"},
     "power": {"team"},  # in the gains, where N is larger
-    "start": {"box", "spacing", "clearance", "lambda2_low", "lambda2_high"},
-    "course": {"legs", "leg", "turn_low", "turn_high"},
 }
 
 
 def changed(value):
-    """Another value of the same type, close by."""
-    return {bool: lambda v: not v, int: lambda v: v + 1, float: lambda v: 1.01 * v + 1e-4}[type(value)](value)
+    """Another value of the same type, close by, and finite."""
+    return {bool: lambda v: not v, int: lambda v: v + 1, float: lambda v: 1.01 * min(v, 2000.0) + 1e-4}[type(value)](
+        value
+    )
 
 
 def in_params(group, name):
-    """Which columns of PARAMS change when one setting does."""
+    """Which columns of the record change when one setting does."""
     plain = Scenario(max_cycles=50)
     if group:
         part = getattr(plain, group)
@@ -102,33 +104,33 @@ def in_params(group, name):
     else:
         other = dataclasses.replace(plain, **{name: changed(getattr(plain, name))})
     a, b = plain.params()[0], other.params()[0]
-    return {column for column in records.PARAMS.names if a[column] != b[column]}
+    return {column for column in a.dtype.names if a[column] != b[column]}
 
 
 def read_by_kernels():
-    """(group, setting) of all settings but switches and those used at reset; "" are the scenario's own."""
+    """(group, setting) of all settings but words and `NOT_PLAIN`; "" are the scenario's own."""
     for field in dataclasses.fields(Scenario):
         if field.name in GROUPS:
-            names = {inner.name for inner in dataclasses.fields(GROUPS[field.name])} - AT_RESET.get(field.name, set())
+            names = {inner.name for inner in dataclasses.fields(GROUPS[field.name])} - NOT_PLAIN.get(field.name, set())
             yield from ((field.name, name) for name in sorted(names))
-        elif field.name not in AT_RESET[""] | set(SWITCHES):
+        elif field.name not in NOT_PLAIN[""] | set(SWITCHES):
             yield "", field.name
 
 
 @pytest.mark.parametrize("group, name", list(read_by_kernels()))
 def test_each_setting_reaches_the_kernels(group, name):
-    """Changing a setting changes one column of PARAMS, that of its own name (and what is derived from it)."""
+    """Changing a setting changes one column of the record, that of its own name (and what is derived from it)."""
     columns = in_params(group, name) - DERIVED
     assert columns in ({name}, {f"{group}_{name}"})
 
 
 def test_all_params_are_filled():
     reached = set().union(*(in_params(group, name) for group, name in read_by_kernels()))
-    assert reached | DERIVED == set(records.PARAMS.names)
+    assert reached | DERIVED == set(Scenario().params().dtype.names)
 
 
-def test_settings_used_at_reset_exist():
-    for group, names in AT_RESET.items():
+def test_settings_that_are_left_out_exist():
+    for group, names in NOT_PLAIN.items():
         known = {field.name for field in dataclasses.fields(GROUPS[group] if group else Scenario)}
         assert names <= known
 

@@ -11,7 +11,8 @@ from fovconn_env.baselines import Gains
 from fovconn_env.errors import SettingError, check_numbers, fraction, non_negative, positive
 from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map
-from fovconn_env.scenarios.presets import PRESETS, Scenario, scenario
+from fovconn_env.scenarios.presets import PRESETS, scenario
+from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.scenarios.settings import (
     Airframe,
     Camera,

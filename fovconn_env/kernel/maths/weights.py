@@ -10,7 +10,7 @@ import math
 
 from fovconn_env.kernel.jit import kernel
 
-UNION, PRODUCT, OMNI = range(3)  # scenarios.SWITCHES["weight"]
+UNION, PRODUCT, OMNI = range(3)  # scenarios.params.SWITCHES["weight"]
 _WAVE = tuple((-1) ** k * math.pi ** (2 * k + 1) / (2 * math.factorial(2 * k + 1)) for k in range(10))
 
 

@@ -13,7 +13,7 @@ import math
 from fovconn_env.kernel.jit import kernel
 from fovconn_env.kernel.maths.weights import view_weight
 
-POWER, FLOODING, TRUE, NONE = range(4)  # scenarios.SWITCHES["lambda2"]
+POWER, FLOODING, TRUE, NONE = range(4)  # scenarios.params.SWITCHES["lambda2"]
 LIMIT = 1e4
 
 

@@ -11,7 +11,7 @@ from fovconn_env.kernel.jit import kernel
 from fovconn_env.kernel.maths.geometry import tilt
 from fovconn_env.kernel.maths.weights import range_weight, rise, sight_weight
 
-ESTIMATED, TRUE, NONE = range(3)  # scenarios.SWITCHES["relative_yaw"]
+ESTIMATED, TRUE, NONE = range(3)  # scenarios.params.SWITCHES["relative_yaw"]
 LEVEL = 0.1  # a line of sight steeper than this horizontal share tells nothing about yaw
 RELIABLE = 0.5  # of the gain in (21): from here on its value is taken as it is
 

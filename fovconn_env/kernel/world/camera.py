@@ -11,7 +11,7 @@ from fovconn_env.kernel.jit import kernel
 from fovconn_env.kernel.maths import random
 from fovconn_env.kernel.maths.geometry import sight_blocked, tilt, untilt
 
-BY_SIGHT, BY_RANGE = range(2)  # scenarios.SWITCHES["link"]
+BY_SIGHT, BY_RANGE = range(2)  # scenarios.params.SWITCHES["link"]
 SMALL = 16  # robots up to which it is faster to visit all pairs
 
 

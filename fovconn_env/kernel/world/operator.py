@@ -10,7 +10,7 @@ import math
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.maths import random
 
-WAYPOINTS, NOBODY, RANDOM, HUMAN, RECORDED = range(5)  # scenarios.SWITCHES["leader"]
+WAYPOINTS, NOBODY, RANDOM, HUMAN, RECORDED = range(5)  # scenarios.params.SWITCHES["leader"]
 
 # A random stick: every SPELL seconds another one is drawn, reached within BLEND seconds, then held; a share of them,
 # REST, is a pause.

@@ -22,7 +22,7 @@ from fovconn_env.render import palette
 from fovconn_env.render.figures import style
 from fovconn_env.render.figures.scene import body_shapes
 from fovconn_env.render.obstacles import outlines
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 
 _LABELS = 40  # obstacles that are labelled, at most
 _FREE = "#F3E3DF"

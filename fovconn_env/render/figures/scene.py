@@ -18,7 +18,7 @@ from fovconn_env.kernel.maths.geometry import tilt
 from fovconn_env.render import palette, sight
 from fovconn_env.render.figures import style
 from fovconn_env.render.obstacles import outlines
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 
 STUB = 2.2  # m, the part of a camera cone that is drawn strong
 ARROWS = 6  # drawing order of the arrows on one-way links

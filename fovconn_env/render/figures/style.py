@@ -14,7 +14,7 @@ from matplotlib.patheffects import withStroke
 
 from fovconn_env.render.palette import LIGHT, leader_of
 from fovconn_env.render.sight import runs
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 
 FOLLOWERS, LEADER, OBSTACLE = LIGHT.followers, LIGHT.leader, LIGHT.obstacle
 TRUTH, OPERATOR = LIGHT.truth, LIGHT.operator  # true lambda2, red as in the paper; stick and way points

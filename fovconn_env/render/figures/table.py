@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 
 
 class Parameter(NamedTuple):

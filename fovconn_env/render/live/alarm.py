@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fovconn_env.render.live.instant import Instant
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 
 LOW = 0.3  # weight below which a link that falls at all is weak
 FALLS = 0.01  # loss of weight within FALL_TIME from which on it falls

@@ -18,7 +18,7 @@ from fovconn_env.render.live.projection import NEAR, Lens, clipped, in_front, pr
 from fovconn_env.render.live.stage import Stage
 from fovconn_env.render.live.strip import FINE
 from fovconn_env.render.palette import Theme, colors_of, leader_of, mixed
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 
 _HALF_WIDTH = 0.34  # m of a quadrotor in the picture, or more where it would be too small to see
 _STAR = 0.8  # radius of a way point's star, in least half-widths of a robot

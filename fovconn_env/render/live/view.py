@@ -19,7 +19,7 @@ from fovconn_env.render.live.stage import Stage
 from fovconn_env.render.live.strip import FINE, Strip
 from fovconn_env.render.live.text import Typesetter
 from fovconn_env.render.palette import THEMES, leader_of, mixed
-from fovconn_env.scenarios.presets import Scenario
+from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.simulator import Simulator
 
 _TRAIL = 8.0  # s of the past that a trail shows

@@ -1,0 +1,76 @@
+"""The settings as the kernels read them: one flat record of numbers, built from the settings classes.
+
+Every number and switch of a scenario is a field of its own name, where its unit and meaning stand; the groups in
+`PREFIXED` put their own name in front, as in yaw_k1. What the kernels would compute in every step is derived here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fovconn_env.scenarios.leader import Recorded
+
+if TYPE_CHECKING:
+    from fovconn_env.scenarios.scenario import Scenario
+
+# The order is the number the kernels compare with.
+SWITCHES: dict[str, tuple[str, ...]] = {
+    "dynamics": ("kinematic", "quadrotor"),
+    "weight": ("union", "product", "omni"),
+    "lambda2": ("power", "flooding", "true", "none"),
+    "relative_yaw": ("estimated", "true", "none"),
+    "link": ("sight", "radio"),
+    "leader": ("waypoints", "none", "random", "human"),  # and behind them a Recorded
+}
+PREFIXED = ("yaw", "power", "flooding", "reward")
+_TYPES = {bool: "b1", int: "i8", float: "f8"}
+
+
+@functools.cache
+def params_dtype(kind: type[Scenario]) -> np.dtype:
+    """The record's type: for each value one field, of the type that it has in a scenario of default settings."""
+    fields = [(name, _TYPES[type(value)]) for name, value in _values(kind()).items()]
+    return np.dtype((np.record, np.dtype(fields, align=True)))
+
+
+def pack(scenario: Scenario) -> np.ndarray:
+    """A scenario's record, (1,)."""
+    record = np.zeros(1, params_dtype(type(scenario)))
+    for name, value in _values(scenario).items():
+        record[name] = value
+    return record
+
+
+def _values(scenario: Scenario) -> dict[str, Any]:
+    clock, radio = scenario.clock, scenario.radio
+    round_time = clock.tick / clock.rounds  # s
+    travel_time = radio.delay * round_time  # s, of a message
+    quiet = max(scenario.camera.coast, radio.memory + travel_time)
+    values: dict[str, Any] = {
+        "round_time": round_time,
+        "travel_time": travel_time,
+        "step_time": scenario.step_time,
+        "rest_ticks": math.ceil(quiet / clock.tick) + 2,  # so long after a link nothing of it is left on board
+    }
+    values |= dict(zip(("axis_x", "axis_y", "axis_z"), scenario.camera.unit_axis, strict=True))
+    for name, words in SWITCHES.items():
+        word = getattr(scenario, name)
+        values[name] = len(words) if isinstance(word, Recorded) else words.index(word)
+    values |= _numbers(scenario, "")
+    for item in dataclasses.fields(scenario):
+        group = getattr(scenario, item.name)
+        if dataclasses.is_dataclass(item.default_factory):  # a group of settings
+            prefix = f"{item.name}_" if item.name in PREFIXED else ""
+            values |= _numbers(scenario.power.scaled(scenario.n_agents) if item.name == "power" else group, prefix)
+    return values
+
+
+def _numbers(settings: Any, prefix: str) -> dict[str, Any]:
+    """The numbers and switches of a settings class, by their prefixed names."""
+    fields = [item for item in dataclasses.fields(settings) if type(item.default) in _TYPES]
+    return {prefix + item.name: getattr(settings, item.name) for item in fields}
