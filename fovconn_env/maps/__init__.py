@@ -1,1 +1,7 @@
 """Obstacles: authored, read from JSON or SVG, or drawn at random. The only importer of pymunk."""
+
+from fovconn_env.maps.corridor import Corridor
+from fovconn_env.maps.forest import Forest
+from fovconn_env.maps.obstacles import Map
+
+__all__ = ["Corridor", "Forest", "Map"]
