@@ -13,6 +13,7 @@ from fovconn_env.kernel.maths.geometry import clearance
 from fovconn_env.kernel.onboard import power_iteration, relative_yaw
 from fovconn_env.kernel.onboard.flooding import build_laplacian, copy_table, merge_table, solve_table, write_own_row
 from fovconn_env.kernel.onboard.liveness import live_share, merge_beats, send_beats
+from fovconn_env.kernel.onboard.messages import receive_message, write_broadcast, write_unicast
 from fovconn_env.kernel.onboard.observation import clip, write_neighbors, write_self
 from fovconn_env.kernel.onboard.power_iteration import (
     agree_weight,
@@ -25,12 +26,12 @@ from fovconn_env.kernel.onboard.relative_yaw import dead_reckon, estimate_yaw, u
 from fovconn_env.kernel.world.camera import (
     broad_phase,
     build_contacts,
-    measure_ego_motion,
     measure_relative_position,
     update_pairs,
 )
 from fovconn_env.kernel.world.faults import apply_faults, clear_faults, mask_pairs
 from fovconn_env.kernel.world.kinematics import cache_half_turn, reset_kinematic, set_command, step_kinematic
+from fovconn_env.kernel.world.odometry import measure_ego_motion
 from fovconn_env.kernel.world.operator import NOBODY, update_stick
 from fovconn_env.kernel.world.outcome import (
     check_termination,
@@ -40,7 +41,7 @@ from fovconn_env.kernel.world.outcome import (
     write_rewards,
 )
 from fovconn_env.kernel.world.quadrotor import reset_quadrotor, step_quadrotor
-from fovconn_env.kernel.world.radio import draw_losses, receive_message, write_broadcast, write_unicast
+from fovconn_env.kernel.world.radio import draw_losses
 from fovconn_env.kernel.world.rangefinder import scan
 
 ADVANCE, BEGIN = range(2)

@@ -9,7 +9,7 @@ from fovconn_env import layout
 from fovconn_env.kernel import records
 from fovconn_env.kernel.jit import entry
 from fovconn_env.kernel.maths import weights
-from fovconn_env.kernel.world import camera, kinematics, rangefinder
+from fovconn_env.kernel.world import camera, kinematics, odometry, rangefinder
 from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios.settings import Camera, Rangefinder
 from tests import reference as ref
@@ -118,7 +118,7 @@ def look(bodies, pairs, piece, vertex, p):
 @entry
 def see(bodies, pairs, own, sights, p):
     for i in range(len(bodies)):
-        camera.measure_ego_motion(bodies[i], own[i], i, np.uint64(1), 0, p[0])
+        odometry.measure_ego_motion(bodies[i], own[i], i, np.uint64(1), 0, p[0])
         for j in range(len(bodies)):
             if j != i:
                 index = i * len(bodies) + j

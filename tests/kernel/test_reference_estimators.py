@@ -5,8 +5,7 @@ import pytest
 
 from fovconn_env.kernel import records
 from fovconn_env.kernel.jit import entry, kernel
-from fovconn_env.kernel.onboard import power_iteration, relative_yaw
-from fovconn_env.kernel.world import radio
+from fovconn_env.kernel.onboard import messages, power_iteration, relative_yaw
 from fovconn_env.scenarios.settings import Camera, Clock, Start, YawEstimator
 from fovconn_env.sim.simulator import Simulator
 from tests import reference as ref
@@ -206,7 +205,7 @@ def message_round(beliefs, tracks, post, mail, inboxes, contacts, own, p):
     n = beliefs.shape[0]
     for i in range(n):
         for j in contacts:
-            radio.receive_message(post[j], mail[j, i], inboxes[i, j], True, p[0])
+            messages.receive_message(post[j], mail[j, i], inboxes[i, j], True, p[0])
             power_iteration.agree_weight(tracks[i, j], mail[i, j], inboxes[i, j], p[0])
     for i in range(n):
         power_iteration.power_round(beliefs[i], tracks[i], post[i], inboxes[i], contacts, p[0])
@@ -217,9 +216,9 @@ def message_round(beliefs, tracks, post, mail, inboxes, contacts, own, p):
 
 @kernel
 def speak(post, mail, own, tracks, beliefs, i):
-    radio.write_broadcast(post[i], own[i], beliefs[i])
+    messages.write_broadcast(post[i], own[i], beliefs[i])
     for j in range(len(beliefs)):
-        radio.write_unicast(mail[i, j], tracks[i, j])
+        messages.write_unicast(mail[i, j], tracks[i, j])
 
 
 class Talk:

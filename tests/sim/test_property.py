@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from fovconn_env.kernel import step
-from fovconn_env.kernel.onboard import flooding, observation, power_iteration, relative_yaw
-from fovconn_env.kernel.world import radio
+from fovconn_env.kernel.onboard import flooding, messages, observation, power_iteration, relative_yaw
 from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios.settings import Airframe, Camera, Clock, Course, Noise, Radio
 from fovconn_env.sim.memory import NO_ACTIONS
@@ -399,8 +398,8 @@ ONBOARD = [
     flooding.merge_table,
     flooding.build_laplacian,
     flooding.solve_table,
-    radio.write_broadcast,
-    radio.write_unicast,
+    messages.write_broadcast,
+    messages.write_unicast,
     observation.write_self,
     observation.write_neighbors,
 ]

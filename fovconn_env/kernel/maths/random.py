@@ -58,3 +58,11 @@ def normal_triple(key, counter, index, purpose):
     a, b = normal_pair(bits)
     c, _ = normal_pair(scramble(bits ^ _MIX1))
     return a, b, c
+
+
+@kernel
+def sensor_error(key, counter, index, purpose, noise, bias):
+    """Three errors of a sensor, standard deviations `noise` (drawn at every counter) and `bias` (once an episode)."""
+    a, b, c = normal_triple(key, counter, index, purpose)
+    d, e, f = normal_triple(key, 0, index, purpose + BIAS)
+    return noise * a + bias * d, noise * b + bias * e, noise * c + bias * f

@@ -1,6 +1,6 @@
 """Pairs: the true geometry of every pair, and what a camera measures of it.
 
-This file and `rangefinder` are the only ones that turn the true poses into what a robot may know.
+This file, `odometry` and `rangefinder` are the only ones that turn the true state into what a robot measures.
 """
 
 from __future__ import annotations
@@ -124,22 +124,6 @@ def build_contacts(pairs, row, col, indptr, p):
 
 
 @kernel
-def measure_ego_motion(body, ego, i, key, tick, p):
-    """Odometry and IMU of robot i: actual velocity, yaw rate, roll and pitch, with noise and bias where set."""
-    ego.vx, ego.vy, ego.vz, ego.yaw_rate = body.vx, body.vy, body.vz, body.yaw_rate
-    ego.roll, ego.pitch = body.roll, body.pitch
-    if p.velocity_noise > 0.0 or p.velocity_bias > 0.0:
-        a, b, c = _error(key, tick, i, random.VELOCITY, p.velocity_noise, p.velocity_bias)
-        ego.vx, ego.vy, ego.vz = ego.vx + a, ego.vy + b, ego.vz + c
-    if p.gyro_noise > 0.0 or p.gyro_bias > 0.0:
-        a, _, _ = _error(key, tick, i, random.GYRO, p.gyro_noise, p.gyro_bias)
-        ego.yaw_rate += a
-    if p.attitude_noise > 0.0 or p.attitude_bias > 0.0:
-        a, b, _ = _error(key, tick, i, random.ATTITUDE, p.attitude_noise, p.attitude_bias)
-        ego.roll, ego.pitch = ego.roll + a, ego.pitch + b
-
-
-@kernel
 def measure_relative_position(me, it, pair, ego, sight, index, key, tick, p):
     """What a robot's camera reports of another: p_ij (2) in its yaw frame, de-tilted with its own IMU; or nothing."""
     sight.seen = pair.seen
@@ -150,16 +134,9 @@ def measure_relative_position(me, it, pair, ego, sight, index, key, tick, p):
     dx, dy, z = it.x - me.x, it.y - me.y, it.z - me.z
     x, y = me.cos_yaw * dx + me.sin_yaw * dy, me.cos_yaw * dy - me.sin_yaw * dx  # (2)
     if p.position_noise > 0.0 or p.position_bias > 0.0:
-        a, b, c = _error(key, tick, index, random.POSITION, p.position_noise, p.position_bias)
+        a, b, c = random.sensor_error(key, tick, index, random.POSITION, p.position_noise, p.position_bias)
         x, y, z = x + a, y + b, z + c
     if ego.roll != me.roll or ego.pitch != me.pitch:
         x, y, z = untilt(x, y, z, me.roll, me.pitch)  # to the camera, which the body carries
         x, y, z = tilt(x, y, z, ego.roll, ego.pitch)  # and back with the attitude it believes
     sight.x, sight.y, sight.z = x, y, z
-
-
-@kernel
-def _error(key, tick, index, purpose, noise, bias):
-    a, b, c = random.normal_triple(key, tick, index, purpose)
-    d, e, f = random.normal_triple(key, 0, index, purpose + random.BIAS)
-    return noise * a + bias * d, noise * b + bias * e, noise * c + bias * f

@@ -1,58 +1,9 @@
-"""Messages: written on board, carried by the environment, delivered some rounds later or lost.
-
-A message has two parts: a POST, the same for all, and a note for one receiver (MAIL). What a robot says changes once a
-tick except for its part in the consensus, so the later messages of a tick repeat the rest.
-"""
+"""The radio: which messages go on the air, and which of them get through."""
 
 from __future__ import annotations
 
 from fovconn_env.kernel.jit import kernel
 from fovconn_env.kernel.maths import random
-
-
-@kernel
-def receive_message(broadcast, unicast, inbox, is_new, p):
-    """Deliver one message, or note that none came. first: of those its sender wrote in one tick.
-
-    A message that repeats the one before it is not copied again, but for the consensus.
-    """
-    if not unicast.arrives:
-        inbox.fresh = inbox.news = False
-        inbox.age = min(inbox.age + p.round_time, p.memory)
-        return
-    inbox.news = is_new or not inbox.fresh
-    inbox.fresh = True
-    inbox.age = 0.0
-    inbox.x, inbox.degree = broadcast.x, broadcast.degree
-    inbox.y1, inbox.y2, inbox.y3 = broadcast.y1, broadcast.y2, broadcast.y3
-    inbox.q1, inbox.q2, inbox.q3 = broadcast.q1, broadcast.q2, broadcast.q3
-    if not inbox.news:
-        return
-    inbox.seen, inbox.px, inbox.py, inbox.pz = unicast.seen, unicast.px, unicast.py, unicast.pz
-    inbox.gamma, inbox.f = unicast.gamma, unicast.f
-    inbox.cos_yaw, inbox.sin_yaw, inbox.yaw_valid = unicast.cos_yaw, unicast.sin_yaw, unicast.yaw_valid
-    inbox.vx, inbox.vy, inbox.vz, inbox.yaw_rate = broadcast.vx, broadcast.vy, broadcast.vz, broadcast.yaw_rate
-    inbox.roll, inbox.pitch = broadcast.roll, broadcast.pitch
-
-
-@kernel
-def write_broadcast(broadcast, ego, belief):
-    """Write the part of robot i's messages that is the same for all: its motion and its part in the consensus."""
-    broadcast.vx, broadcast.vy, broadcast.vz, broadcast.yaw_rate = ego.vx, ego.vy, ego.vz, ego.yaw_rate
-    broadcast.roll, broadcast.pitch = ego.roll, ego.pitch
-    broadcast.x, broadcast.degree = belief.x, belief.degree
-    broadcast.y1, broadcast.y2, broadcast.y3 = belief.y1, belief.y2, belief.y3
-    broadcast.q1, broadcast.q2, broadcast.q3 = belief.q1, belief.q2, belief.q3
-
-
-@kernel
-def write_unicast(unicast, track):
-    """Write robot i's note to j: what i has on board about j."""
-    unicast.seen, unicast.px, unicast.py, unicast.pz = track.held, 0.0, 0.0, 0.0
-    if track.held:
-        unicast.px, unicast.py, unicast.pz = track.x, track.y, track.z
-    unicast.gamma, unicast.f = track.gamma, track.f
-    unicast.cos_yaw, unicast.sin_yaw, unicast.yaw_valid = track.cos_yaw, track.sin_yaw, track.valid
 
 
 @kernel
