@@ -114,6 +114,8 @@ def test_make_targets_and_extras_exist():
         assert (ROOT / arguments[arguments.index("-c") + 1]).is_file()
         extras = re.search(r"\[(.*)\]", arguments[arguments.index("-e") + 1])
         assert extras is None or set(extras[1].split(",")) <= set(project["optional-dependencies"])
+    install = README.partition("## Install")[2].partition("\n## ")[0]
+    assert named(install) == set(project["optional-dependencies"])
     for version in re.findall(r"^Programming Language :: Python :: (3\.\d+)$", "\n".join(project["classifiers"]), re.M):
         assert version in README
 
