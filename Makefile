@@ -15,7 +15,7 @@ PIP := $(BIN)/python $(INSTALL) -c constraints.txt
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help demo results test test-fast test-integrations lint format dist clean
+.PHONY: help demo results docs test test-fast test-integrations lint format dist clean
 .NOTPARALLEL:
 
 help:  ## list the targets
@@ -36,16 +36,19 @@ test-integrations: $(LIBRARIES)/current/installed $(LIBRARIES)/older/installed  
 	$(LIBRARIES)/current/bin/python -m pytest tests/integrations tests/training/test_sb3.py tests/training/test_training.py tests/render/test_rerun.py $(ARGS)
 	$(LIBRARIES)/older/bin/python -m pytest tests/integrations $(ARGS)
 
-results: $(VENV)/installed-demo  ## fly all that docs/results.md and the README's table show (about an hour), and write them
+results: $(VENV)/installed-demo  ## fly all that docs/results shows (about an hour), write it, and check it
 	$(BIN)/fovconn eval --suite full --out out/results/full --json docs/results/full.json
 	$(BIN)/fovconn eval $(LONG) --seeds 0-999 --out out/results/thousand --json docs/results/thousand.json
 	$(BIN)/fovconn eval $(LONG) --seeds 0-999 --set stick_speed=2.5 --out out/results/fast --json docs/results/fast.json
 	$(BIN)/fovconn figures --ablations --seeds 0-319 --out out/results/ablations --json docs/results/ablations.json
-	$(BIN)/python -m fovconn_env.training.evaluation.levels
-	$(BIN)/python -m fovconn_env.training.evaluation.learned_study
+	$(BIN)/python -m fovconn_env.training.evaluation levels learned
 	cp out/results/ablations/ablations.png docs/images/
 	cp $(addprefix out/results/full/plots/,$(SHOWN)) docs/images/
 	$(BIN)/python docs/shrink.py
+	$(BIN)/python docs/tables.py
+	$(BIN)/python -m fovconn_env.training.evaluation check
+
+docs: $(VENV)/installed-demo  ## write the tables of README.md and docs anew, from docs/results and the code
 	$(BIN)/python docs/tables.py
 
 lint: $(VENV)/installed-dev  ## ruff (rules and format), the direction of imports, and pyright

@@ -1,17 +1,20 @@
-"""Write the generated tables of README.md and docs/*.md: `python docs/tables.py` (`--check` only looks).
+"""Write the generated tables of README.md and docs: `python docs/tables.py` (`--check` only looks).
 
-A table stands between `<!-- KIND:NAME -->` and `<!-- end -->`. KIND is `layout` (a table of `fovconn_env.layout`, or
-`layout:scales`, what the named bounds are), `settings` (fields of a settings class, with the comment beside each),
-`bench` (rates, bars or machine of docs/benchmark.json, which `fovconn bench --json` writes), `results`
-(a table of a record in docs/results, which `make results` writes), `levels` (of one scenario, from
-docs/results/levels.json, which training/evaluation/levels.py writes), `learned` (a table of
-docs/results/learned.json, which training/evaluation/learned_study.py writes) or `keys` (of `fovconn play`, one group of
-its key table, `mouse` or `gamepad`).
+Beside each record docs/results/NAME.json, which `make results` writes, a page docs/results/NAME.md has all its tables.
+In README.md and docs/*.md a table stands between `<!-- KIND:NAME -->` and `<!-- end -->`; KIND is
+
+- `results`: a record and one of its tables by the heading it has in the record's page, `results:full LeaderFollow-v0`,
+  `results:learned teams`; or `run`, its seeds, date and versions in a line, `results:full run`
+- `bench`: `rates`, `bars` or `machine` of docs/benchmark.json, which `fovconn bench --json` writes
+- `layout`: a table of `fovconn_env.layout`, or `scales`, what the named bounds are
+- `settings`: fields of a settings class, with the comment beside each
+- `keys`: one group of the keys of `fovconn play`, `mouse` or `gamepad`
 """
 
 from __future__ import annotations
 
 import ast
+import functools
 import inspect
 import itertools
 import json
@@ -23,13 +26,18 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))  # runs from a clone without an install, too
 
 from fovconn_env import Scenario, layout
-from fovconn_env.baselines import Gains, find_policy
+from fovconn_env.baselines import Gains
+from fovconn_env.files import write_text
 from fovconn_env.layout import Column
 from fovconn_env.scenarios import settings
 from fovconn_env.training.bench.report import bar_table, machine_line, rate_table, restless
+from fovconn_env.training.evaluation import tables
+from fovconn_env.training.evaluation.record import Record, load
+from fovconn_env.training.evaluation.text import Table, markdown
 from fovconn_env.training.play import gamepad, keyboard
 
 ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "docs" / "results"
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 # What the named bounds of the layout are, as expressions in the settings of a Scenario.
 SCALES = {
@@ -48,16 +56,22 @@ _FIELD = re.compile(r"^    (\w+): (.+?) = (.+?)(?:  # (.*))?$", re.MULTILINE)
 
 def rendered(text: str) -> str:
     """A page with its generated tables made anew."""
-    kinds = {"layout": layout_table, "settings": settings_table, "bench": bench_table}
-    kinds |= {"results": results_table, "levels": levels_table, "learned": learned_table, "keys": keys_table}
-    return _MARKED.sub(lambda found: f"{found[1]}\n{kinds[found[2]](found[3])}\n\n{found[4]}", text)
+    kinds = {"layout": layout_table, "settings": settings_table, "keys": keys_table}
+    kinds |= {"bench": bench_table, "results": results_table}
+    return _MARKED.sub(lambda place: f"{place[1]}\n{kinds[place[2]](place[3])}\n\n{place[4]}", text)
+
+
+def pages() -> dict[Path, str]:
+    """All pages with generated tables, as they should be."""
+    whole = {file.with_suffix(".md"): tables.page(file, load(file)) for file in sorted(RESULTS.glob("*.json"))}
+    return {page: rendered(page.read_text("utf-8")) for page in PAGES} | whole
 
 
 def keys_table(name: str) -> str:
     """The Markdown table of a group of keys of `fovconn play`."""
     pad = [*gamepad.AXES, *((button.name, button.words) for button in gamepad.BUTTONS)]
     rows = {"mouse": keyboard.MOUSE, "gamepad": pad}.get(name) or keyboard.rows(name)
-    return _markdown([name, "does"], [[f"`{keys}`", words] for keys, words in rows])
+    return markdown(([name, "does"], [[f"`{keys}`", words] for keys, words in rows]))
 
 
 def layout_table(name: str) -> str:
@@ -65,9 +79,9 @@ def layout_table(name: str) -> str:
     if name == "scales":
         values = Scenario().scales()
         rows = [[f"`{scale}`", f"`{rule}`", f"{values[scale]:g}"] for scale, rule in SCALES.items()]
-        return _markdown(["bound", "setting", "by default"], rows)
+        return markdown((["bound", "setting", "by default"], rows))
     if name == "LOST_LINK":
-        return _markdown(["code", "cause"], [[str(k), cause] for k, cause in enumerate(layout.LOST_LINK)])
+        return markdown((["code", "cause"], [[str(k), cause] for k, cause in enumerate(layout.LOST_LINK)]))
     rows, first = [], 0
     for _, group in itertools.groupby(getattr(layout, name), _vector):
         columns = list(group)
@@ -76,9 +90,9 @@ def layout_table(name: str) -> str:
         names = " ".join(f"`{column.name}`" for column in columns)
         column = columns[0]
         meaning = column.meaning if first == last else re.sub(r", [xyz]$", "", column.meaning)
-        rows.append([index, names, column.unit, column.frame, _interval(column), meaning])
+        rows.append([index, names, column.unit, column.frame, _interval(column), _literal(meaning)])
         first = last + 1
-    return _markdown(["#", "column", "unit", "frame", "bounds", "meaning"], rows)
+    return markdown((["#", "column", "unit", "frame", "bounds", "meaning"], rows))
 
 
 def settings_table(name: str) -> str:
@@ -92,8 +106,8 @@ def settings_table(name: str) -> str:
         words = [f'`"{word}"`' for word in ast.literal_eval(f"({choices[1]},)")] if choices else []
         words = " or ".join(words + ([f"a `{choices[2]}`"] if choices and choices[2] else []))
         meaning = "; ".join(filter(None, [words, comment])) or (f"see {factory[1]} below" if factory else "")
-        rows.append([f"`{field}`", f"`{factory[1]}()`" if factory else f"`{default}`", meaning])
-    return _markdown(["setting", "default", "unit and meaning"], rows)
+        rows.append([f"`{field}`", f"`{factory[1]}()`" if factory else f"`{default}`", _literal(meaning)])
+    return markdown((["setting", "default", "unit and meaning"], rows))
 
 
 def bench_table(name: str) -> str:
@@ -101,75 +115,24 @@ def bench_table(name: str) -> str:
     report = json.loads((ROOT / "docs" / "benchmark.json").read_text("utf-8"))
     if name == "machine":
         return f"Measured {report['finished'][:10]} on {machine_line(report)}. {restless(report)}".rstrip()
-    return _markdown(*{"rates": rate_table, "bars": bar_table}[name](report))
+    return markdown({"rates": rate_table, "bars": bar_table}[name](report))
 
 
 def results_table(name: str) -> str:
     """A table of a record in docs/results, with its footnotes; name: record and table, "run" for a line of text."""
-    record, _, table = name.partition(" ")
-    report = json.loads((ROOT / "docs" / "results" / f"{record}.json").read_text("utf-8"))
-    if table == "run":
-        return _run_line(report)
-    found = report["tables"][table] if table else report
-    notes = [note for note in report.get("footnotes", ()) if any(note[0] in row[0] for row in found["rows"])]
-    return "\n\n".join([_markdown(found["head"], found["rows"]), *notes])
+    name, _, title = name.partition(" ")
+    record, by_title = _record(name)
+    if title == "run":
+        return tables.run_line(record)
+    table = by_title[title]
+    return "\n\n".join([markdown(table), *tables.footnotes(table)])
 
 
-def levels_table(name: str) -> str:
-    """The Markdown table of a scenario's levels: settings, and what each policy keeps and finishes.
-
-    name: "run" for a line of text instead, a scenario, or a scenario and "lambda2" for what its estimates are worth and
-    what their messages weigh, by power iteration and by flooding.
-    """
-    report = json.loads((ROOT / "docs" / "results" / "levels.json").read_text("utf-8"))
-    if name == "run":
-        return _run_line(report)
-    name, _, what = name.partition(" ")
-    rows, levels = [], report["levels"][name]
-    policies = ["expert", "expert-flooding"] if what else list(levels[0]["policies"])
-    for number, level in enumerate(levels, start=1):
-        settings = " ".join(f"`{setting}={value}`" for setting, value in level["changes"].items()) or "-"
-        found = [level["policies"][policy] for policy in policies]
-        if what:
-            cells = [f"{each['bytes_per_second']:,.0f}" for each in found]
-            errors = [100 * each["lambda2_error_median"] for each in found]
-            cells += [f"{error:.0f} %" if error >= 10 else f"{error:.2g} %" for error in errors]
-        else:
-            cells = [f"{100 * each['never_disconnected']:.0f} / {100 * each['success']:.0f}" for each in found]
-        rows.append([f"{number}", settings, f"{level['episodes']}", *cells])
-    head = [f"{policy} †" if find_policy(policy).oracle else policy for policy in policies]
-    head = [f"{quantity}, {policy}" for quantity in ("B/s", "error") for policy in head] if what else head
-    return _markdown(["level", "settings", "episodes", *head], rows)
-
-
-def learned_table(name: str) -> str:
-    """A Markdown table of what learned policies are worth beside others on the same seeds; "run" for a line of text."""
-    report = json.loads((ROOT / "docs" / "results" / "learned.json").read_text("utf-8"))
-    if name == "run":
-        return _run_line(report)
-    rows = []
-    for row in report["tables"][name]:
-        task = " ".join([row["scenario"], *(f"`{setting}={value}`" for setting, value in row["changes"].items())])
-        shares = [_percent(row[key]) for key in ("kept", "success")]
-        signed = [_percent(row[f"{key}_difference"], "+") for key in ("kept", "success")]
-        progress = [row["progress"], row["progress_against"]]
-        forward = ["-" if value is None else f"{value:.2f}" for value in progress]
-        rows.append([row["policy"], task, *shares, forward[0], row["against"], *signed, forward[1]])
-    head = ["policy", "flown on", "kept %", "success %", "progress"]
-    return _markdown([*head, "against", "kept, difference", "success, difference", "its progress"], rows)
-
-
-def _percent(estimate: list[float], sign: str = "") -> str:
-    value, low, high = (100 * number for number in estimate)
-    return f"{value:{sign}.1f} [{low:{sign}.1f}, {high:{sign}.1f}]"
-
-
-def _run_line(report: dict) -> str:
-    seeds, run = report["seeds"], report["run"]
-    names = ("python", "numpy", "numba")
-    versions = ", ".join([f"fovconn_env {report['fovconn_env']}", *(f"{name} {run[name]}" for name in names)])
-    took = f"{run['seconds']:.0f} s on {run['cores']} cores"
-    return f"Seeds {seeds[0]} to {seeds[-1]}, {run['finished'][:10]}, {versions}; {took}."
+@functools.cache
+def _record(name: str) -> tuple[Record, dict[str, Table]]:
+    """A record of docs/results and its tables."""
+    record = load(RESULTS / f"{name}.json")
+    return record, tables.tables(record)
 
 
 def _vector(column: Column) -> tuple:
@@ -189,23 +152,22 @@ def _interval(column: Column) -> str:
     return f"{shown} (`{scale}`)" if scale in SCALES else shown
 
 
+def _literal(text: str) -> str:
+    """A text with f*_ij in it; Markdown would take two of its stars for emphasis."""
+    return text.replace("f*_", r"f\*_")
+
+
 def _number(value: float) -> str:
     return "π" if value == math.pi else f"{value:g}"
 
 
-def _markdown(head: list[str], rows: list[list[str]]) -> str:
-    table = [[cell.replace("|", r"\|").replace("f*_", r"f\*_") for cell in row] for row in [head, *rows]]
-    lines = ["| " + " | ".join(row) + " |" for row in table]
-    return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]])
-
-
 def main() -> int:
     """Write the pages that are out of date, or with --check name them; the exit status then is 1."""
-    stale = [page for page in PAGES if rendered(page.read_text("utf-8")) != page.read_text("utf-8")]
-    for page in stale:
+    stale = {page: text for page, text in pages().items() if not page.exists() or page.read_text("utf-8") != text}
+    for page, text in stale.items():
         print(f"{'out of date' if '--check' in sys.argv else 'wrote'}: {page.relative_to(ROOT)}")
         if "--check" not in sys.argv:
-            page.write_text(rendered(page.read_text("utf-8")), "utf-8")
+            write_text(page, text)
     return int(bool(stale) and "--check" in sys.argv)
 
 

@@ -1,35 +1,34 @@
 """Studies of what each part is worth: every point can fly, and table, record and picture say what was flown."""
 
-import json
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
+from fovconn_env import scenario
 from fovconn_env.baselines import POLICIES, find_policy
-from fovconn_env.training.evaluation import ablation_picture, ablations, evaluate
-from fovconn_env.training.evaluation.ablations import STUDIES, Point, Study, cells
+from fovconn_env.training.evaluation import ablation_picture, ablations, evaluate, tables
+from fovconn_env.training.evaluation.ablations import PANELS, Panel, Point, study
+from fovconn_env.training.evaluation.record import load
 
 TINY = {"n_agents": 3, "max_cycles": 30, "warmup": 0.2}
 
 
 def test_every_point_can_fly():
-    """Equipment and settings fit together, no point is flown twice, and every line has a look of its own."""
-    found = cells()
-    assert len(set(found)) == len(found)
-    for cell in found:
+    """Equipment and settings fit, points with equal settings share a cell, and every line has a style."""
+    cells = {task.cell() for task in study(range(3)).tasks}
+    for cell in cells:
         assert cell.policy in POLICIES
         find_policy(cell.policy).equip(cell.scenario)
-    points = [point for study in STUDIES for point in study.points]
-    assert len(found) < len(points)  # the defaults are part of several studies
-    lines = {point.policy for study in STUDIES if study.axis for point in study.points}
+    assert len(cells) < len({(*point.task[:2], str(point.changes)) for panel in PANELS for point in panel.points})
+    lines = {point.policy for panel in PANELS if panel.axis for point in panel.points}
     assert lines == set(ablation_picture._STYLE)
 
 
 def test_message_rates_are_what_the_axis_says():
-    (study,) = [study for study in STUDIES if study.title == "Message rate"]
-    for point in study.points:
-        clock = ablations._cell(point).scenario.clock
+    (panel,) = [panel for panel in PANELS if panel.title == "Message rate"]
+    for point in panel.points:
+        clock = scenario(ablations.BASE, **point.changes).clock
         assert point.at == pytest.approx(clock.rounds / clock.tick)
         assert clock.tick * clock.ticks == pytest.approx(0.05)
 
@@ -37,24 +36,22 @@ def test_message_rates_are_what_the_axis_says():
 def test_figures_command(fovconn, monkeypatch):
     """Two studies that share a point; the command draws, writes and prints them."""
     sweep = [Point(policy, policy, float(n), {**TINY, "n_agents": n}) for policy in ("expert", "omni") for n in (2, 3)]
-    studies = (Study("Switch", "", [Point("expert", "as it is", None, TINY)]), Study("Sweep", "N", sweep))
-    monkeypatch.setattr(ablations, "STUDIES", studies)
-    monkeypatch.setattr(ablation_picture, "STUDIES", studies)
+    panels = (Panel("Switch", "", [Point("expert", "as it is", None, TINY)]), Panel("Sweep", "N", sweep))
+    for module in (ablations, ablation_picture, tables):
+        monkeypatch.setattr(module, "PANELS", panels)
     monkeypatch.setitem(ablation_picture._STYLE, "omni", ("#000000", "v:"))
-    assert len(cells()) == 4
+    assert len({task.cell() for task in study(range(3)).tasks}) == 4
     shown = fovconn("figures", "--ablations", "--seeds", "0-2", "--out", "drawn", "--json", "record.json")
     assert shown.status == 0
     assert "Sweep, N" in shown.out
     with Image.open("drawn/ablations.png") as picture:
         assert picture.width > 1000
-    record = json.loads(Path("record.json").read_text())
-    assert record == json.loads(Path("drawn/ablations.json").read_text())
-    assert record["seeds"] == [0, 1, 2]
-    assert [row[:3] for row in record["rows"]] == [
-        ["Switch", "as it is", "expert"],
-        *(["Sweep, N", f"{n}", policy] for policy in ("expert", "omni") for n in (2, 3)),
-    ]
-    for row, cell in zip(record["rows"][:3:2], (cells()[0],) * 2, strict=True):
-        episodes = evaluate(cell.policy, cell.scenario, range(3)).episodes
-        assert row[3].startswith(f"{100 * episodes['never_disconnected'].mean():.0f} [")
+    record = load(Path("record.json"))
+    assert record == load(Path("drawn/ablations.json"))
+    assert record.seeds == [0, 1, 2]
+    for row, point in zip(tables.ablation_table(record)[1], [panels[0].points[0], *sweep], strict=True):
+        result = record.find(*point.task)
+        episodes = evaluate(point.policy, scenario(ablations.BASE, **point.changes), range(3)).episodes
+        assert result.measures["never_disconnected"].value == episodes["never_disconnected"].mean()
+        assert row[2] == point.policy
         assert row[5] == f"{episodes['progress'].mean():.2f}"

@@ -49,7 +49,6 @@ from fovconn_env.training.bench.timing import (
 
 TINY = scenario(n_agents=3, warmup=0.1, max_cycles=8)
 LEAST = Effort(repetitions=3, seconds=0.0, batches=(1, 2), rows=2, robots=48, learn_steps=4)
-ROOT = Path(__file__).parents[2]
 
 
 def timing(key, *rates, agents=6):
@@ -271,17 +270,6 @@ def test_the_picture_of_a_part(report, tmp_path):
     part = [case for case in report["cases"] if case["key"] == "parallel"]
     plot({**report, "cases": part}, tmp_path / "speed.png")
     assert (tmp_path / "speed.png").stat().st_size > 5000
-
-
-def test_the_page_shows_the_committed_run():
-    """That its tables are made of it, test_docs checks."""
-    page = (ROOT / "docs" / "performance.md").read_text("utf-8")
-    for name in ("machine", "bars", "rates"):
-        assert f"<!-- bench:{name} -->" in page
-    kept = json.loads((ROOT / "docs" / "benchmark.json").read_text("utf-8"))
-    assert set(kept) == set(record(Result(Agenda(TINY, LEAST, [], False, []), [], None)))
-    assert len(kept["ratios"]) == len(bars(FULL.main, max(FULL.batches), FULL.rows))
-    assert (ROOT / "docs" / "images" / "benchmark.png").is_file()
 
 
 # -------------------------------------------------------------------------------------------------------------- command

@@ -70,20 +70,22 @@ def test_eval_writes_json_that_a_second_run_repeats(fovconn, tmp_path):
     assert first["policies"]["oracle"]["overrides"] == {"lambda2": "true", "relative_yaw": "true"}
     assert set(first["scenarios"]) == {"Regroup-v0"}
     settings = scenario("Regroup-v0", n_agents=3, max_cycles=40, warmup=0.5)
-    for record, policy in zip(first["evaluations"], ("expert", "oracle"), strict=True):
+    for record, policy in zip(first["results"], ("expert", "oracle"), strict=True):
         result = evaluate(policy, settings, [5, 6, 7])
         assert (record["policy"], record["scenario"]) == (policy, "Regroup-v0")
         assert set(record["episodes"]) == set(result.episodes)
         for name, values in record["episodes"].items():
             clean = [None if not math.isfinite(value) else value for value in result.episodes[name].tolist()]
             assert values == clean
-        assert set(record["summary"]) == set(summary(result))
-        assert record["summary"]["episodes"] == 3
-        assert record["summary"]["duration"] == pytest.approx(2.0)
+        report = summary(result)
+        assert record["count"] == report["episodes"] == 3
+        assert set(record["measures"]) <= set(report) | {"score"}
+        assert record["measures"]["duration"] == pytest.approx(2.0)
         assert record["histograms"]["lambda2"] == result.histograms[:, 0].sum(0).tolist()
         for name in ("never_disconnected", "success", "collision"):
-            low, high = record["summary"][f"{name}_interval"]
-            assert 0 <= low <= record["summary"][name] <= high <= 1
+            value, low, high = record["measures"][name]
+            assert 0 <= low <= value <= high <= 1
+            assert [value, low, high] == [report[name], *report[f"{name}_interval"]]
 
 
 def test_the_policy_of_the_page_lands_in_the_same_table(fovconn, tmp_path):
@@ -149,8 +151,8 @@ def test_set_changes_settings(fovconn, tmp_path, words):
     shown = fovconn("eval", "--seeds", 0, *TINY, *pairs, "--out", tmp_path)
     assert shown.status == 0
     steps = 20 if "max_cycles=20" in words else 40
-    record = strict_json(tmp_path / "results.json")["evaluations"][0]
-    assert record["summary"]["duration"] == pytest.approx(steps * 0.05)
+    record = strict_json(tmp_path / "results.json")["results"][0]
+    assert record["measures"]["duration"] == pytest.approx(steps * 0.05)
 
 
 def test_the_record_tells_what_was_flown(fovconn, tmp_path):
@@ -159,7 +161,7 @@ def test_the_record_tells_what_was_flown(fovconn, tmp_path):
     for setting in ("stick_speed=0.5", "stick_speed=1.5"):
         fovconn("eval", "--seeds", 0, *TINY, "--set", setting, "--out", tmp_path)
         record = strict_json(tmp_path / "results.json")
-        told.append({key: record[key] for key in record if key not in ("evaluations", "run")})
+        told.append({key: record[key] for key in record if key not in ("results", "overall", "run")})
     assert told[0] != told[1]
 
 
@@ -174,7 +176,7 @@ def test_set_changes_single_settings_of_groups(fovconn, tmp_path, order):
     plain = scenario("LeaderFollow-v0")
     camera, course = dataclasses.replace(plain.camera, d_min=3.5, D1=5.0), dataclasses.replace(plain.course, settle=0.0)
     expected = scenario(plain, n_agents=3, max_cycles=40, warmup=0.5, camera=camera, course=course)
-    found = strict_json(tmp_path / "results.json")["evaluations"][0]["episodes"]["mean_lambda2"]
+    found = strict_json(tmp_path / "results.json")["results"][0]["episodes"]["mean_lambda2"]
     assert found == evaluate("expert", expected, [0]).episodes["mean_lambda2"].tolist()
 
 

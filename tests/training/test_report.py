@@ -1,4 +1,4 @@
-"""Comparisons, tables, the report's files, the export: numbers recomputed here, and whatever may be missing."""
+"""Comparisons, their tables, the report's files, the export: numbers recomputed here, and whatever may be missing."""
 
 import json
 import math
@@ -14,22 +14,21 @@ pytest.importorskip("jinja2")
 
 from fovconn_env import scenario
 from fovconn_env.training.evaluation import evaluate
-from fovconn_env.training.evaluation.comparison import (
-    compare,
-    difference_table,
-    estimator_table,
-    figures,
-    overall_table,
-    percent,
-    scenario_table,
-)
+from fovconn_env.training.evaluation.comparison import compare
 from fovconn_env.training.evaluation.marl_eval import to_marl_eval
 from fovconn_env.training.evaluation.pictures import looks
 from fovconn_env.training.evaluation.report import MOST_LOST, lost_table, write_report
-from fovconn_env.training.evaluation.statistics import Estimate, paired_share_difference, share_interval
+from fovconn_env.training.evaluation.results import record_of
+from fovconn_env.training.evaluation.statistics import paired_share_difference, share_interval
+from fovconn_env.training.evaluation.tables import (
+    FOOTNOTE,
+    difference_table,
+    estimator_table,
+    overall_table,
+    scenario_table,
+)
 
 HEAD = {"seeds": "0-23", "date": "2026-01-01", "settings": "n_agents=3 | max_cycles<=40"}
-NOTES = {"oracle": "an oracle: knows <the truth>"}
 POLICIES = ("expert", "random", "oracle", "expert-no-yaw", "my_own|policy")
 SEEDS = list(range(24))
 VOID = {"area", "base", "br", "col", "embed", "hr", "img", "input", "link", "meta", "source", "track", "wbr"}
@@ -82,6 +81,17 @@ def fake(model, policy, seeds):
     )
 
 
+def numbers(evaluations):
+    """The record of made-up policies; the one called oracle is one."""
+    comparison = compare(evaluations)
+    kinds = {name: {"purpose": "", "overrides": {}, "oracle": name == "oracle"} for name in comparison.policies}
+    return record_of(comparison, kinds)
+
+
+def report(evaluations, folder, head):
+    return write_report(compare(evaluations), numbers(evaluations), folder, head)
+
+
 def of(evaluations, policy, name="LeaderFollow-v0"):
     return next(found for found in evaluations if found.policy == policy and found.scenario.name == name).episodes
 
@@ -92,40 +102,35 @@ def column(table, head):
 
 
 # ------------------------------------------------------------------------------------------------------------- tables
-def test_cells():
-    assert percent(Estimate(0.975, 0.9501, 0.9899)) == "97.5 [95, 99]"
-    assert percent(Estimate(1.0, 0.9, 1.0)) == "100 [90, 100]"
-    assert percent(Estimate(1.0, 0.9962, 1.0)) == "100 [99.6, 100.0]"
-    assert percent(Estimate(0.0, 0.0, 0.004)) == "0 [0.0, 0.4]"
-    assert percent(Estimate(0.5, math.nan, math.nan)) == "50.0"
-    assert [figures(value) for value in (0.0, 0.000123, 1234.0, math.nan)] == ["0", "0.00012", "1200", "-"]
-
-
 def test_results_are_what_the_episodes_say(team):
     evaluations = team()
     comparison = compare(evaluations)
     expert, random, own = (of(evaluations, name) for name in ("expert", "random", "oracle"))
-    result = comparison.results["LeaderFollow-v0", "oracle"]
-    assert result.kept == (own["never_disconnected"].mean(), *share_interval(own["never_disconnected"]))
-    assert result.collisions == own["collision"].sum()
-    assert result.success_difference == paired_share_difference(own["success"], expert["success"])
+    compared = comparison.compared["LeaderFollow-v0", "oracle"]
+    measures, against = compared.result.measures, compared.result.against["expert"]
+    assert measures["never_disconnected"] == (
+        own["never_disconnected"].mean(),
+        *share_interval(own["never_disconnected"]),
+    )
+    assert measures["collision"].value * len(SEEDS) == pytest.approx(own["collision"].sum())
+    assert against["success"] == paired_share_difference(own["success"], expert["success"])
     connected = (own["connected_share"] - expert["connected_share"]).mean()
-    assert result.connected_difference.value == pytest.approx(connected)
-    assert result.progress_difference.value == pytest.approx(np.nanmean(own["progress"] - expert["progress"]))
+    assert against["connected_share"].value == pytest.approx(connected)
+    assert against["progress"].value == pytest.approx(np.nanmean(own["progress"] - expert["progress"]))
     zero, one = random["sct"].mean(), expert["sct"].mean()
     scores = (own["sct"] - zero) / (one - zero)
-    assert result.scores is not None
-    np.testing.assert_allclose(result.scores, scores)
-    assert result.score.value == pytest.approx(stats.trim_mean(scores, 0.25))
+    assert compared.scores is not None
+    np.testing.assert_allclose(compared.scores, scores)
+    assert measures["score"].value == pytest.approx(stats.trim_mean(scores, 0.25))
     pairs = [(a > b) + 0.5 * (a == b) for a in own["sct"] for b in expert["sct"]]
-    assert result.better.value == pytest.approx(np.mean(pairs))
-    assert comparison.results["LeaderFollow-v0", "expert"].scores.mean() == pytest.approx(1.0)
-    assert comparison.results["LeaderFollow-v0", "random"].scores.mean() == pytest.approx(0.0)
+    assert against["improvement"].value == pytest.approx(np.mean(pairs))
+    assert comparison.compared["LeaderFollow-v0", "expert"].scores.mean() == pytest.approx(1.0)
+    assert comparison.compared["LeaderFollow-v0", "random"].scores.mean() == pytest.approx(0.0)
 
 
 def test_scenario_table(team):
     evaluations = team()
-    table = scenario_table(compare(evaluations, NOTES), "LeaderFollow-v0")
+    table = scenario_table(numbers(evaluations), "LeaderFollow-v0")
     own = of(evaluations, "oracle")
     low, high = share_interval(own["never_disconnected"])
     text = f"{100 * own['never_disconnected'].mean():.1f} [{100 * low:.0f}, {100 * high:.0f}]"
@@ -140,17 +145,18 @@ def test_overall_table(team):
     evaluations = team()
     comparison = compare(evaluations)
     means = [of(evaluations, "oracle", name)["success"].mean() for name in comparison.scenarios]
-    assert column(overall_table(comparison), "mean success %")["oracle"] == f"{100 * np.mean(means):.1f}"
-    scores = [comparison.results[name, "oracle"].scores for name in comparison.scenarios]
+    assert column(overall_table(numbers(evaluations)), "mean success %")["oracle †"] == f"{100 * np.mean(means):.1f}"
+    compared = [comparison.compared[name, "oracle"] for name in comparison.scenarios]
     total = next(total for total in comparison.overall if total.policy == "oracle")
-    assert total.score.value == pytest.approx(stats.trim_mean(np.concatenate(scores), 0.25))
-    better = [comparison.results[name, "oracle"].better.value for name in comparison.scenarios]
-    assert total.better.value == pytest.approx(np.mean(better))
+    scores = np.concatenate([each.scores for each in compared])
+    assert total.measures["score"].value == pytest.approx(stats.trim_mean(scores, 0.25))
+    improved = [each.result.against["expert"]["improvement"].value for each in compared]
+    assert total.against["expert"]["improvement"].value == pytest.approx(np.mean(improved))
 
 
 def test_tables_fit_a_terminal(team):
     """Names of 19 letters, the longest of ours with a mark, and two blanks between columns."""
-    for head, rows in (scenario_table(compare(team(), NOTES), name) for name in ("LeaderFollow-v0", "Regroup-v0")):
+    for head, rows in (scenario_table(numbers(team()), name) for name in ("LeaderFollow-v0", "Regroup-v0")):
         widths = [max(len(cell) for cell in cells) for cells in zip(head, *rows, strict=True)]
         assert 19 + sum(widths[1:]) + 2 * len(widths[1:]) <= 120
 
@@ -171,12 +177,12 @@ def test_who_did_not_fly_everywhere_is_in_no_overall_row(team):
 
 @pytest.mark.parametrize("policies", [("omni", "random"), ("expert", "omni"), ("omni",)])
 def test_without_expert_or_random_there_are_no_scores(team, policies):
-    comparison = compare(team(policies))
-    head, rows = scenario_table(comparison, "LeaderFollow-v0")
+    record = numbers(team(policies))
+    head, rows = scenario_table(record, "LeaderFollow-v0")
     assert len(rows) == len(policies)
     assert "score IQM" not in head
     assert ("> expert %" in head) == ("expert" in policies)
-    assert len(difference_table(comparison, "LeaderFollow-v0")[0]) == (5 if "expert" in policies else 1)
+    assert len(difference_table(record, "LeaderFollow-v0")[0]) == (5 if "expert" in policies else 1)
 
 
 def test_no_score_where_random_is_as_good(team):
@@ -184,20 +190,20 @@ def test_no_score_where_random_is_as_good(team):
         found._replace(policy={"expert": "random", "random": "expert"}[found.policy])
         for found in team(("expert", "random"))
     ]
-    assert all(result.scores is None for result in compare(evaluations).results.values())
+    assert all(compared.scores is None for compared in compare(evaluations).compared.values())
 
 
 def test_what_was_not_measured_is_a_dash(team):
     """Regroup has no stick, hence no progress."""
-    comparison = compare(team())
-    assert set(column(scenario_table(comparison, "Regroup-v0"), "progress").values()) == {"-"}
-    assert "progress" not in difference_table(comparison, "Regroup-v0")[0]
-    assert len(estimator_table(comparison, "Regroup-v0")[1]) == len(POLICIES)
+    record = numbers(team())
+    assert set(column(scenario_table(record, "Regroup-v0"), "progress").values()) == {"-"}
+    assert "progress" not in difference_table(record, "Regroup-v0")[0]
+    assert len(estimator_table(record, "Regroup-v0")[1]) == len(POLICIES)
 
 
 def test_lost_teams_of_the_expert_come_first(team):
     evaluations = team(("expert-no-yaw", "expert", "omni"))
-    (head, rows), total = lost_table(compare(evaluations), "LeaderFollow-v0")
+    (head, rows), total = lost_table(compare(evaluations), numbers(evaluations), "LeaderFollow-v0")
     lost = {
         name: np.flatnonzero(of(evaluations, name)["never_disconnected"] == 0.0) for name in ("expert", "expert-no-yaw")
     }
@@ -237,7 +243,7 @@ def written(flown, tmp_path_factory):
     """Folder and files of a report on made-up policies."""
     folder = tmp_path_factory.mktemp("report")
     evaluations = [fake(flown[name], policy, SEEDS) for name in flown for policy in POLICIES]
-    return folder, write_report(compare(evaluations, NOTES), folder, HEAD)
+    return folder, report(evaluations, folder, HEAD)
 
 
 def test_files(written):
@@ -257,7 +263,7 @@ def test_html(written):
     words = "".join(page.words)
     for policy in ("expert", "random", "oracle †", "expert-no-yaw", "my_own|policy"):
         assert words.count(policy) >= 2
-    for value in (*HEAD.values(), "† an oracle: knows <the truth>"):
+    for value in (*HEAD.values(), FOOTNOTE):
         assert value in words
     assert page.tags.count("img") == len(files) - 2
     assert all(re.match(r"#[\w-]+$|data:image/png;base64,", address) for address in page.addresses)
@@ -280,7 +286,7 @@ def test_markdown(written):
 
 def test_the_same_again(written, team, tmp_path):
     """Byte for byte, in another folder too."""
-    for old, new in zip(written[1], write_report(compare(team(), NOTES), tmp_path, HEAD), strict=True):
+    for old, new in zip(written[1], report(team(), tmp_path, HEAD), strict=True):
         assert old.read_bytes() == new.read_bytes(), new.name
 
 
@@ -290,7 +296,7 @@ def test_the_same_again(written, team, tmp_path):
     ids=["one policy, one episode", "the expert alone", "no expert", "sixteen"],
 )
 def test_reports_on_less_and_on_more(team, policies, seeds, tmp_path):
-    files = write_report(compare(team(policies, seeds, ("Regroup-v0",))), tmp_path, {})
+    files = report(team(policies, seeds, ("Regroup-v0",)), tmp_path, {})
     assert (
         "Regroup-v0_differences.png" in {file.name for file in files}
         or policies[0] != POLICIES[0]
@@ -301,7 +307,7 @@ def test_reports_on_less_and_on_more(team, policies, seeds, tmp_path):
 
 
 def test_evaluations_as_they_come(flown, tmp_path):
-    assert len(write_report(compare(list(flown.values())), tmp_path, HEAD)) == 2 + 3 * 2  # nothing to be different from
+    assert len(report(list(flown.values()), tmp_path, HEAD)) == 2 + 3 * 2  # nothing to be different from
 
 
 def test_links_lead_to_the_definitions(team, tmp_path, monkeypatch):
@@ -312,7 +318,7 @@ def test_links_lead_to_the_definitions(team, tmp_path, monkeypatch):
     for path in (folder, tmp_path / "docs"):
         path.mkdir(parents=True)
     (tmp_path / "docs" / "metrics.md").touch()
-    files = write_report(compare(team(("omni",), names=("Regroup-v0",))), folder, {})
+    files = report(team(("omni",), names=("Regroup-v0",)), folder, {})
     assert "[docs/metrics.md](../../docs/metrics.md)" in files[0].read_text("utf-8")
     assert 'href="../../docs/metrics.md"' in files[1].read_text("utf-8")
 

@@ -23,8 +23,9 @@ from fovconn_env.training.commands.options import (
 )
 from fovconn_env.training.commands.screen import err, grid, measures, out, say_written, width
 from fovconn_env.training.evaluation.campaign import DEV_SEEDS, Cell, parse_seeds, suite
-from fovconn_env.training.evaluation.comparison import Comparison, overall_table, scenario_table
-from fovconn_env.training.evaluation.results import publish, short, write_json
+from fovconn_env.training.evaluation.record import Record, to_json, write_json
+from fovconn_env.training.evaluation.results import publish
+from fovconn_env.training.evaluation.tables import FOOTNOTE, overall_table, scenario_table
 
 
 def command(
@@ -69,9 +70,12 @@ def command(
     check_writable({"--json": json_file})
     results, seconds = fly_all(cells, numbers, folder, processes, fresh, recordings)
     with err.status("writing the report"):
-        found = publish(results, chosen, folder, seconds)
-    _show(found.comparison)
-    written = found.files + ([write_json(json_file, short(found.record))] if json_file is not None else [])
+        record, written = publish(results, chosen, changes, folder, seconds)
+    if len(results) == 1:
+        out.print(measures(results[0]))
+    else:
+        _show(record)
+    written += [write_json(json_file, to_json(record.short()))] if json_file is not None else []
     say_written([file for file in written if file.suffix != ".png"])
     if recordings is not None:
         count = len(cells) * len(numbers)
@@ -80,22 +84,18 @@ def command(
         out.print('no report: it needs matplotlib, pip install "fovconn-env[render]"', style="yellow", markup=False)
 
 
-def _show(comparison: Comparison) -> None:
-    """Tables of what was flown: in full for one policy on one scenario, else side by side."""
-    if len(comparison.results) == 1:
-        out.print(measures(next(iter(comparison.results.values())).evaluation))
-        return
+def _show(record: Record) -> None:
+    """Policies side by side, scenario by scenario and over all."""
     tables = {}
-    for name in comparison.scenarios:
-        count = len(next(iter(comparison.on(name).values())).evaluation.seeds)
-        tables[f"{name}, {count} seeds"] = scenario_table(comparison, name)
-    if len(comparison.scenarios) > 1:
-        tables["over all scenarios"] = overall_table(comparison)
+    for name in dict.fromkeys(result.scenario for result in record.results):
+        tables[f"{name}, {len(record.seeds)} seeds"] = scenario_table(record, name)
+    if len(tables) > 1:
+        tables["over all scenarios"] = overall_table(record)
     wide = all(width(*table) <= out.width for table in tables.values())
     for title, (head, rows) in tables.items():
         bare = [[re.sub(r" \[.*\]", "", cell) for cell in row] for row in rows]
         out.print(grid(title, head, rows if wide else bare))
         out.print()
     out.print("in brackets: 95 % intervals" if wide else "a wider terminal shows 95 % intervals", style="dim")
-    for note in comparison.footnotes:
-        out.print(note, highlight=False, markup=False)
+    if any(kind["oracle"] for kind in record.policies.values()):
+        out.print(FOOTNOTE, highlight=False, markup=False)

@@ -23,7 +23,7 @@ from fovconn_env.training.commands.options import (
 from fovconn_env.training.commands.screen import grid, out, progress, say_written
 from fovconn_env.training.evaluation.campaign import parse_seeds
 from fovconn_env.training.evaluation.export import check_installed
-from fovconn_env.training.evaluation.results import write_json
+from fovconn_env.training.evaluation.record import to_json, write_json
 
 
 def command(
@@ -89,16 +89,17 @@ def _draw_map(file: Path, folder: Path, scenario_name: str | None, seeds: list[i
 
 
 def _draw_ablations(folder: Path, seeds: str, processes: int | None, fresh: bool, json_file: Path | None) -> None:
-    from fovconn_env.training.evaluation import ablations as studies
+    from fovconn_env.training.evaluation import ablations
     from fovconn_env.training.evaluation.ablation_picture import draw
+    from fovconn_env.training.evaluation.study import record
+    from fovconn_env.training.evaluation.tables import ablation_table
 
-    numbers, cells = parse_seeds(seeds), studies.cells()
-    results, seconds = fly_all(cells, numbers, folder, processes, fresh)
-    found = studies.gather(results)
-    report = studies.record(found, numbers, seconds)
-    head, rows = studies.rows(found)
-    out.print(grid(f"ablations on {studies.BASE}, {len(numbers)} seeds", head, rows))
-    written = [draw(found, folder / "ablations.png", f"{studies.BASE}, seeds {seeds}, 95 % intervals")]
-    written += [write_json(folder / "ablations.json", report)]
-    written += [write_json(json_file, report)] if json_file is not None else []
+    study = ablations.study(parse_seeds(seeds))
+    cells = list(dict.fromkeys(task.cell() for task in study.tasks))
+    evaluations, seconds = fly_all(cells, list(study.seeds), folder, processes, fresh)
+    result = record(study, dict(zip(cells, evaluations, strict=True)), seconds).short()
+    out.print(grid(f"ablations on {ablations.BASE}, {len(study.seeds)} seeds", *ablation_table(result)))
+    written = [draw(result, folder / "ablations.png", f"{ablations.BASE}, seeds {seeds}, 95 % intervals")]
+    written += [write_json(folder / "ablations.json", to_json(result))]
+    written += [write_json(json_file, to_json(result))] if json_file is not None else []
     say_written(written)

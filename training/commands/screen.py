@@ -15,8 +15,9 @@ from rich.table import Table
 
 from fovconn_env import Scenario, Simulator
 from fovconn_env.baselines import find_policy
-from fovconn_env.training.evaluation import Evaluation, summary
-from fovconn_env.training.evaluation.measures import card
+from fovconn_env.training.evaluation import Evaluation
+from fovconn_env.training.evaluation.record import result_of
+from fovconn_env.training.evaluation.tables import card
 
 # a pipe has no width; rich would take 80 letters, too few for the tables
 out = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else 132)
@@ -50,7 +51,7 @@ def measures(result: Evaluation) -> Table:
     """All measures of one policy on one scenario."""
     count = len(result.seeds)
     title = f"{result.policy} on {result.scenario.name}, {count} episode{'s' if count > 1 else ''}"
-    _, rows = card({"value": summary(result)})
+    _, rows = card({"value": result_of(result)})
     return grid(title, ["measure", "value [95 % interval]" if count > 1 else "value"], rows)
 
 

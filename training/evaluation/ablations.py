@@ -5,27 +5,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import fovconn_env
-from fovconn_env import scenario
-from fovconn_env.training.evaluation.campaign import Cell
-from fovconn_env.training.evaluation.comparison import percent
-from fovconn_env.training.evaluation.flights import SHARES, Evaluation, summary
-from fovconn_env.training.evaluation.results import run_block
-from fovconn_env.training.evaluation.statistics import Estimate
+from fovconn_env.training.evaluation.study import Study, Task
 
 BASE = "LeaderFollow-v0"
 
 
 class Point(NamedTuple):
-    """One place of a study: a policy under changed settings."""
+    """One place of a panel: a policy under changed settings."""
 
     policy: str
     label: str  # under a bar, or the line's name
     at: float | None = None  # where on the axis of a sweep
     changes: dict[str, Any] = {}
 
+    @property
+    def task(self) -> tuple[str, str, dict[str, Any]]:
+        """What `Record.find` takes."""
+        return self.policy, BASE, self.changes
 
-class Study(NamedTuple):
+
+class Panel(NamedTuple):
     """One panel of the figure: bars for switches, lines over an axis for sweeps."""
 
     title: str
@@ -33,8 +32,8 @@ class Study(NamedTuple):
     points: list[Point]
 
 
-def _sweep(title: str, axis: str, policies: Sequence[str], settings: dict[float, dict[str, Any]]) -> Study:
-    return Study(
+def _sweep(title: str, axis: str, policies: Sequence[str], settings: dict[float, dict[str, Any]]) -> Panel:
+    return Panel(
         title, axis, [Point(policy, policy, at, changes) for policy in policies for at, changes in settings.items()]
     )
 
@@ -45,8 +44,8 @@ def _rate(per_second: int, tick: float, ticks: int, rounds: int) -> tuple[float,
 
 
 _COMPARED = ("expert", "expert-flooding", "augmented")
-STUDIES = (
-    Study(
+PANELS = (
+    Panel(
         "Field of view",
         "",
         [
@@ -56,7 +55,7 @@ STUDIES = (
             Point("omni", "ahead, ignored"),
         ],
     ),
-    Study(
+    Panel(
         "Common frame",
         "",
         [
@@ -65,7 +64,7 @@ STUDIES = (
             Point("expert-no-yaw", "none"),
         ],
     ),
-    Study(
+    Panel(
         "lambda2 and v2",
         "",
         [
@@ -74,7 +73,7 @@ STUDIES = (
             Point("expert", "power iteration"),
         ],
     ),
-    Study("Weight of a link", "", [Point("expert", "one looks (11)"), Point("both-look", "both look")]),
+    Panel("Weight of a link", "", [Point("expert", "one looks (11)"), Point("both-look", "both look")]),
     _sweep(
         "Message rate",
         "rounds/s",
@@ -92,37 +91,8 @@ STUDIES = (
 )
 
 
-def cells() -> list[Cell]:
-    """What all studies need, each cell once."""
-    return list(dict.fromkeys(_cell(point) for study in STUDIES for point in study.points))
-
-
-def gather(results: Sequence[Evaluation]) -> list[list[dict[str, Any]]]:
-    """For each study the summaries of its points, from the evaluations of `cells()`."""
-    found = {cell: summary(result) for cell, result in zip(cells(), results, strict=True)}
-    return [[found[_cell(point)] for point in study.points] for study in STUDIES]
-
-
-def rows(found: list[list[dict[str, Any]]]) -> tuple[list[str], list[list[str]]]:
-    """Head and rows of the table of all points, words for words as in terminal and page."""
-    head = ["study", "point", "policy", "kept %", "success %", "progress", "lambda2 error p50"]
-    table = []
-    for study, reports in zip(STUDIES, found, strict=True):
-        for point, report in zip(study.points, reports, strict=True):
-            place = point.label if point.at is None else f"{point.at:g}"
-            title = f"{study.title}, {study.axis}" if study.axis else study.title
-            kept, success = (percent(Estimate(report[name], *report[f"{name}_interval"])) for name in SHARES[:2])
-            figures = [f"{report['progress']:.2f}", f"{report['lambda2_error_median']:.2%}"]
-            table.append([title, place, point.policy, kept, success, *figures])
-    return head, table
-
-
-def record(found: list[list[dict[str, Any]]], seeds: Sequence[int], seconds: float) -> dict[str, Any]:
-    """The table as a JSON-ready record; `run` is the only part that differs between two runs of the same code."""
-    head, table = rows(found)
-    version = {"fovconn_env": fovconn_env.__version__, "scenario": BASE, "seeds": list(seeds)}
-    return version | {"head": head, "rows": table, "run": run_block(seconds)}
-
-
-def _cell(point: Point) -> Cell:
-    return Cell(point.policy, scenario(BASE, **point.changes))
+def study(seeds: Sequence[int]) -> Study:
+    """What all panels need, each task once."""
+    points = dict.fromkeys((point.policy, tuple(point.changes.items())) for panel in PANELS for point in panel.points)
+    tasks = [Task(policy, BASE, settings, len(seeds)) for policy, settings in points]
+    return Study("ablations", seeds, tasks)

@@ -20,7 +20,7 @@ from matplotlib.ticker import MaxNLocator, NullLocator, PercentFormatter
 from fovconn_env.flights.metrics import CAUSES as LOST_BY
 from fovconn_env.flights.metrics import ERRORS, SPLIT_CAUSE, bin_edges
 from fovconn_env.render.figures.style import DARK, FAINT, FOLLOWERS, LEADER, RC, save, sheet
-from fovconn_env.training.evaluation.comparison import EXPERT, MERIT, Comparison, Result
+from fovconn_env.training.evaluation.comparison import EXPERT, MERIT, Compared, Comparison
 from fovconn_env.training.evaluation.statistics import survival
 
 WIDTH = 7.5  # inches, 1200 pixels
@@ -59,10 +59,9 @@ def looks(policies: list[str]) -> dict[str, Look]:
 
 
 @matplotlib.rc_context(RC)
-def draw(comparison: Comparison, scenario: str, folder: Path) -> list[Picture]:
-    """Draw all pictures of a scenario into a folder."""
-    look, results = looks(comparison.policies), comparison.on(scenario)
-    names = {policy: comparison.name(policy) for policy in results}
+def draw(comparison: Comparison, names: Mapping[str, str], scenario: str, folder: Path) -> list[Picture]:
+    """Draw all pictures of a scenario into a folder; names: what each of its policies is called, with its mark."""
+    look, compared = looks(comparison.policies), comparison.on(scenario)
     kinds: list[tuple[str, str, str, Callable[..., Figure | None]]] = [
         ("curves", "Connectivity and score", CURVES_TEXT, draw_curves),
         ("differences", "Differences to the expert", DIFFERENCES_TEXT, draw_differences),
@@ -71,7 +70,7 @@ def draw(comparison: Comparison, scenario: str, folder: Path) -> list[Picture]:
     ]
     pictures = []
     for kind, title, text, make in kinds:
-        figure = make(results, names, look)
+        figure = make(compared, names, look)
         if figure is not None:
             path = folder / f"{re.sub(r'[^A-Za-z0-9.-]+', '_', scenario)}_{kind}.png"
             pictures.append(Picture(save(figure, path), title, text))
@@ -94,13 +93,13 @@ ERRORS_TEXT = (
 
 
 # --------------------------------------------------------------------------------------------------------- pictures
-def draw_curves(results: Mapping[str, Result], names: Mapping[str, str], look: Mapping[str, Look]) -> Figure:
+def draw_curves(compared: Mapping[str, Compared], names: Mapping[str, str], look: Mapping[str, Look]) -> Figure:
     """Survival of connectivity over time, and the performance profile."""
     figure, lines = _with_legend(3.1, names, look)
     left, right = figure.subplots(1, 2)
     least = 1.0
-    for policy, result in results.items():
-        episodes = result.evaluation.episodes
+    for policy, each in compared.items():
+        episodes = each.evaluation.episodes
         lost = np.isfinite(episodes["first_disconnection"])
         curve = survival(np.where(lost, episodes["first_disconnection"], episodes["duration"]), lost)
         left.step(curve.times, curve.share, where="post", **lines[policy])
@@ -111,7 +110,7 @@ def draw_curves(results: Mapping[str, Result], names: Mapping[str, str], look: M
     left.set(title="Teams never disconnected", xlabel="time, s", ylim=(floor - reach, 1.0 + reach))
     left.set_xlim(left=0.0)
     left.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-    kind, values = _profile(results)
+    kind, values = _profile(compared)
     low, high = np.quantile(np.concatenate(list(values.values())), [0.005, 0.995])
     margin = 0.04 * max(high - low, 0.1)
     for policy, own in values.items():
@@ -125,17 +124,18 @@ def draw_curves(results: Mapping[str, Result], names: Mapping[str, str], look: M
 
 
 def draw_differences(
-    results: Mapping[str, Result], names: Mapping[str, str], look: Mapping[str, Look]
+    compared: Mapping[str, Compared], names: Mapping[str, str], look: Mapping[str, Look]
 ) -> Figure | None:
     """Paired differences to the expert; None without one."""
-    others = {p: result for p, result in results.items() if not math.isnan(result.kept_difference.value)}
+    others = {policy: each.result for policy, each in compared.items() if EXPERT in each.result.against}
     if not others:
         return None
     figure = sheet(WIDTH, 1.0 + ROW * len(others))
     axes = figure.subplots(1, 2, sharey=True)
-    for panel, kind, title in zip(axes, ("kept", "success"), ("Never disconnected", "Success"), strict=True):
+    measures = ("never_disconnected", "success"), ("Never disconnected", "Success")
+    for panel, measure, title in zip(axes, *measures, strict=True):
         for row, (policy, result) in enumerate(others.items()):
-            value, low, high = getattr(result, f"{kind}_difference")
+            value, low, high = result.difference(EXPERT, measure)
             panel.plot([low, high], [row, row], color=look[policy].color, lw=1.6)
             panel.plot(value, row, "o", color=look[policy].color, ms=5)
         panel.axvline(0.0, color=DARK, lw=1.0, zorder=1)
@@ -146,20 +146,20 @@ def draw_differences(
     return figure
 
 
-def draw_causes(results: Mapping[str, Result], names: Mapping[str, str], look: Mapping[str, Look]) -> Figure:
+def draw_causes(compared: Mapping[str, Compared], names: Mapping[str, str], look: Mapping[str, Look]) -> Figure:
     """Reasons of lost links, a minute, and of splits."""
-    figure = sheet(WIDTH, 1.35 + ROW * len(results))
+    figure = sheet(WIDTH, 1.35 + ROW * len(compared))
     left, right = figure.subplots(1, 2, sharey=True)
-    lost, splits = np.zeros((len(results), len(LOST_BY))), np.zeros((len(results), len(SPLIT_CAUSE) - 1))
-    for row, result in enumerate(results.values()):
-        episodes = result.evaluation.episodes
+    lost, splits = np.zeros((len(compared), len(LOST_BY))), np.zeros((len(compared), len(SPLIT_CAUSE) - 1))
+    for row, each in enumerate(compared.values()):
+        episodes = each.evaluation.episodes
         minutes = episodes["duration"].sum() / 60
         lost[row] = [episodes[f"lost_by_{cause}"].sum() / minutes for cause in LOST_BY]
         splits[row] = [np.sum(episodes["split_cause"] == k) for k in range(1, len(SPLIT_CAUSE))]
     _bars(left, lost)
     _bars(right, splits)
     left.set(title="Links lost", xlabel="per minute of flight")
-    count = max(len(result.evaluation.seeds) for result in results.values())
+    count = max(each.result.count for each in compared.values())
     right.set(title="Teams split", xlabel=f"episodes, of {count}")
     for panel in (left, right):
         panel.set_xlim(0.0, max(1.04 * panel.dataLim.x1, 1.0))
@@ -172,7 +172,7 @@ def draw_causes(results: Mapping[str, Result], names: Mapping[str, str], look: M
     return figure
 
 
-def draw_errors(results: Mapping[str, Result], names: Mapping[str, str], look: Mapping[str, Look]) -> Figure:
+def draw_errors(compared: Mapping[str, Compared], names: Mapping[str, str], look: Mapping[str, Look]) -> Figure:
     """Distribution functions of the estimators' errors."""
     figure, lines = _with_legend(2.9, names, look)
     titles = r"Estimate of $\lambda_2$", "Relative yaw, mutual view", "Relative yaw, one-way"
@@ -180,8 +180,8 @@ def draw_errors(results: Mapping[str, Result], names: Mapping[str, str], look: M
     bounds, ticks = ((1e-5, 200.0), *((1e-4, 1.0),) * 2), ([1e-4, 1e-2, 1, 100], *([1e-3, 1e-2, 1e-1],) * 2)
     panels = figure.subplots(1, len(ERRORS), sharey=True)
     for k, panel in enumerate(panels):
-        for policy, result in results.items():
-            counts = result.evaluation.histograms[:, k].sum(0)
+        for policy, each in compared.items():
+            counts = each.evaluation.histograms[:, k].sum(0)
             if counts.sum() == 0:
                 continue
             share = np.cumsum(counts)[:-1] / counts.sum()
@@ -194,12 +194,12 @@ def draw_errors(results: Mapping[str, Result], names: Mapping[str, str], look: M
 
 
 # ------------------------------------------------------------------------------------------------------------ parts
-def _profile(results: Mapping[str, Result]) -> tuple[str, dict[str, np.ndarray]]:
+def _profile(compared: Mapping[str, Compared]) -> tuple[str, dict[str, np.ndarray]]:
     """What the profile is of, and its values by policy: scores, else what they are made of."""
-    scores = {policy: result.scores for policy, result in results.items() if result.scores is not None}
+    scores = {policy: each.scores for policy, each in compared.items() if each.scores is not None}
     if scores:
         return "score", scores
-    return MERIT, {policy: result.evaluation.episodes[MERIT] for policy, result in results.items()}
+    return MERIT, {policy: each.evaluation.episodes[MERIT] for policy, each in compared.items()}
 
 
 def _with_legend(

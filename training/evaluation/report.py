@@ -14,18 +14,18 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from fovconn_env.files import write_text
 from fovconn_env.flights.metrics import SPLIT_CAUSE
-from fovconn_env.training.evaluation.comparison import (
-    EXPERT,
-    Comparison,
-    Table,
+from fovconn_env.training.evaluation.comparison import EXPERT, Comparison
+from fovconn_env.training.evaluation.pictures import Picture, draw
+from fovconn_env.training.evaluation.record import Record
+from fovconn_env.training.evaluation.tables import (
     difference_table,
     estimator_table,
-    figures,
-    number,
+    footnotes,
+    marked,
     overall_table,
     scenario_table,
 )
-from fovconn_env.training.evaluation.pictures import Picture, draw
+from fovconn_env.training.evaluation.text import Table, escape, figures, markdown, number
 
 TITLE = "fovconn benchmark"
 ROOT = Path(__file__).resolve().parents[2]
@@ -76,40 +76,41 @@ class Section(NamedTuple):
         return re.sub(r"[^a-z0-9-]+", "-", self.title.lower()).strip("-")
 
 
-def write_report(comparison: Comparison, folder: Path, head: Mapping[str, str]) -> list[Path]:
+def write_report(comparison: Comparison, record: Record, folder: Path, head: Mapping[str, str]) -> list[Path]:
     """Write report.md, report.html and plots/*.png into a folder, which must be there; returns the files.
 
-    head: what was run, by name, for the top: seeds, versions, date, settings. The same arguments write the same bytes.
+    record: the numbers of the comparison; head: what was run, by name, for the top: seeds, versions, date, settings.
+    The same arguments write the same bytes.
     """
     plots = folder / "plots"
     plots.mkdir(exist_ok=True)
-    sections = [_overview(comparison), *(_scenario(comparison, name, plots) for name in comparison.scenarios)]
+    sections = [_overview(record), *(_scenario(comparison, record, name, plots) for name in comparison.scenarios)]
     sections.append(Section("Definitions", terms=TERMS, link=("docs/metrics.md", _link(folder))))
     page, text = folder / "report.html", folder / "report.md"
-    write_text(text, markdown(head, sections, folder))
-    write_text(page, html(head, sections))
+    write_text(text, in_markdown(head, sections, folder))
+    write_text(page, in_html(head, sections))
     return [text, page, *(picture.path for section in sections for picture in section.pictures)]
 
 
-def markdown(head: Mapping[str, str], sections: Sequence[Section], folder: Path) -> str:
+def in_markdown(head: Mapping[str, str], sections: Sequence[Section], folder: Path) -> str:
     """The report as Markdown; pictures are named relative to the folder."""
-    parts = [f"# {TITLE}", "\n".join(f"- {name}: {_escape(str(value))}" for name, value in head.items())]
+    parts = [f"# {TITLE}", "\n".join(f"- {name}: {escape(str(value))}" for name, value in head.items())]
     for section in sections:
         parts += [f"## {section.title}", *section.lines]
         if section.terms:
-            parts.append("\n".join(f"- {_escape(name)}: {_escape(text)}" for name, text in section.terms))
+            parts.append("\n".join(f"- {escape(name)}: {escape(text)}" for name, text in section.terms))
         if section.link:
             words, address = section.link
             parts.append(f"More in {f'[{words}]({address})' if address else words}.")
         for table in section.tables:
-            parts += [f"### {table.title}", _grid(table), *table.notes]
+            parts += [f"### {table.title}", markdown((table.head, table.rows), literal=True), *table.notes]
         for picture in section.pictures:
             where = picture.path.relative_to(folder).as_posix()
-            parts += [f"### {picture.title}", f"![{section.title}: {picture.title}]({where})", _escape(picture.text)]
+            parts += [f"### {picture.title}", f"![{section.title}: {picture.title}]({where})", escape(picture.text)]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def html(head: Mapping[str, str], sections: Sequence[Section]) -> str:
+def in_html(head: Mapping[str, str], sections: Sequence[Section]) -> str:
     """The report as one HTML file with its pictures inside."""
     loader = Environment(
         loader=PackageLoader("fovconn_env.training.evaluation"), autoescape=True, undefined=StrictUndefined
@@ -118,16 +119,16 @@ def html(head: Mapping[str, str], sections: Sequence[Section]) -> str:
     return loader.get_template("report.html").render(title=TITLE, head=head, sections=sections) + "\n"
 
 
-def lost_table(comparison: Comparison, scenario: str) -> tuple[Table, int]:
+def lost_table(comparison: Comparison, record: Record, scenario: str) -> tuple[Table, int]:
     """Episodes in which a policy called expert... lost its team, the expert's own first; and how many there are."""
     rows = []
     policies = [policy for policy in comparison.on(scenario) if policy.startswith(EXPERT)]
     for policy in sorted(policies, key=lambda policy: policy != EXPERT):
-        evaluation = comparison.results[scenario, policy].evaluation
+        evaluation = comparison.compared[scenario, policy].evaluation
         episodes = evaluation.episodes
         for k in np.flatnonzero(np.isfinite(episodes["first_disconnection"])):
             row = [
-                comparison.name(policy),
+                marked(record, policy),
                 str(evaluation.seeds[k]),
                 number(episodes["first_disconnection"][k], ".2f"),
                 SPLIT_CAUSE[int(episodes["split_cause"][k])],
@@ -139,43 +140,30 @@ def lost_table(comparison: Comparison, scenario: str) -> tuple[Table, int]:
 
 
 # ------------------------------------------------------------------------------------------------------------ parts
-def _overview(comparison: Comparison) -> Section:
-    count = len(comparison.scenarios)
-    where = f"all {count} scenarios" if count > 1 else comparison.scenarios[0]
-    lines = [] if len(comparison.overall) == len(comparison.policies) else ["Policies that flew every scenario."]
-    return Section("Overview", lines, tables=[Grid(f"Over {where}", *overall_table(comparison), comparison.footnotes)])
+def _overview(record: Record) -> Section:
+    scenarios = list(dict.fromkeys(result.scenario for result in record.results))
+    where = f"all {len(scenarios)} scenarios" if len(scenarios) > 1 else scenarios[0]
+    lines = [] if len(record.overall) == len(record.policies) else ["Policies that flew every scenario."]
+    table = overall_table(record)
+    return Section("Overview", lines, tables=[Grid(f"Over {where}", *table, footnotes(table))])
 
 
-def _scenario(comparison: Comparison, scenario: str, plots: Path) -> Section:
-    results = comparison.on(scenario)
-    count = len(next(iter(results.values())).evaluation.seeds)
-    marked = [
-        note for note in comparison.footnotes if any(comparison.marks.get(p) == note.split(" ")[0] for p in results)
-    ]
-    tables = [Grid("Results", *scenario_table(comparison, scenario), marked)]
-    differences = difference_table(comparison, scenario)
+def _scenario(comparison: Comparison, record: Record, scenario: str, plots: Path) -> Section:
+    count = next(iter(comparison.on(scenario).values())).result.count
+    results, differences = scenario_table(record, scenario), difference_table(record, scenario)
+    tables = [Grid("Results", *results, footnotes(results))]
     if len(differences[0]) > 1:
         about = ["On the same seeds; kept, success and time connected in percentage points."]
         tables.append(Grid("Difference to the expert", *differences, about))
-    tables.append(Grid("Connectivity and estimators", *estimator_table(comparison, scenario)))
-    lost, total = lost_table(comparison, scenario)
+    tables.append(Grid("Connectivity and estimators", *estimator_table(record, scenario)))
+    lost, total = lost_table(comparison, record, scenario)
     if total:
         note = [f"The first {MOST_LOST} of {total}."] if total > MOST_LOST else []
         note.append("lambda2_hat, mean over the robots, and |cos| between their v2 and the true one: one step before.")
         tables.append(Grid("Teams that the expert and its variants lost", *lost, note))
     lines = [f"{count} episode{'s' if count > 1 else ''} a policy, all from the same seeds."]
-    return Section(scenario, lines, tables=tables, pictures=draw(comparison, scenario, plots))
-
-
-def _grid(table: Grid) -> str:
-    """A table in Markdown, the words on the left and the numbers on the right."""
-    lines = [table.head, ["---", *["---:"] * (len(table.head) - 1)], *table.rows]
-    return "\n".join("| " + " | ".join(_escape(cell) for cell in line) + " |" for line in lines)
-
-
-def _escape(text: str) -> str:
-    """A line of text that Markdown takes literally."""
-    return re.sub(r"([\\|<>*_`])", r"\\\1", text)
+    names = {policy: marked(record, policy) for policy in comparison.on(scenario)}
+    return Section(scenario, lines, tables=tables, pictures=draw(comparison, names, scenario, plots))
 
 
 def _embedded(path: Path) -> str:

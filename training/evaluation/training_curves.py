@@ -1,4 +1,4 @@
-"""Draw docs/images/training.png from docs/results/curves: `python training/evaluation/training_curves.py [RUN ...]`.
+"""Draw docs/images/training.png: `python -m fovconn_env.training.evaluation.training_curves [RUN ...]`.
 
 RUN is a folder of `fovconn train`; what the picture needs of its curves is first copied to docs/results/curves/RUN.csv.
 Files of one name but for a number at the end (dagger-0, dagger-1) are training seeds, drawn in one colour.
@@ -10,8 +10,6 @@ import csv
 import re
 import sys
 from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # runs from a clone without an install, too
 
 import matplotlib
 from matplotlib.figure import Figure
@@ -33,7 +31,7 @@ def read(file: Path) -> Curves:
     """Points (robot steps, value) of the panels, by name."""
     with file.open(newline="", encoding="utf-8") as stream:
         rows = [(row["name"], float(row["step"]), float(row["value"])) for row in csv.DictReader(stream)]
-    return {name: [(step, value) for found, step, value in rows if found == name] for name in PANELS}
+    return {panel: [(step, value) for name, step, value in rows if name == panel] for panel in PANELS}
 
 
 def keep(run: Path) -> None:
