@@ -6,9 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from fovconn_env import LEVELS, Simulator, scenario
+from fovconn_env import LEVELS, scenario
 from fovconn_env.baselines import find_policy
-from fovconn_env.flights.metrics import Meter
 from fovconn_env.training.evaluation import evaluate, learned, levels, summary
 from fovconn_env.training.evaluation.check_results import repeated
 from fovconn_env.training.evaluation.comparison import paired
@@ -57,10 +56,8 @@ def flown(tmp_path_factory):
 
 
 def test_every_measure_has_a_unit():
-    chosen = scenario(n_agents=2, max_cycles=1, warmup=0.0)
-    simulator = Simulator(chosen)
-    simulator.reset(0)
-    measured = set(Meter(simulator).results()) | set(result_of(evaluate("expert", chosen, [0])).measures)
+    evaluation = evaluate("expert", scenario(n_agents=2, max_cycles=1, warmup=0.0), [0])
+    measured = set(evaluation.episodes) | set(result_of(evaluation).measures)
     units = [name for names in UNITS for name in names.split()]
     assert len(set(units)) == len(units)
     assert measured | {"score", "improvement"} == set(units)
