@@ -68,7 +68,7 @@ dist: $(VENV)/installed-demo $(LIBRARIES)/twine/installed  ## build the sdist an
 	$(LIBRARIES)/twine/bin/twine check --strict dist/*
 
 clean:  ## remove the virtual environments, caches and builds; out/ stays
-	rm -rf $(VENV) $(LIBRARIES) build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(LIBRARIES) build dist .pytest_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Stamps: an install runs again only when pyproject.toml or constraints.txt changed.

@@ -1,10 +1,14 @@
 """What an import loads, and what messages say to install. Which way imports point: `lint-imports`, pyproject.toml."""
 
+import importlib
+import inspect
 import re
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parents[1]
 HEAVY = {"PIL", "av", "jinja2", "matplotlib", "pyarrow", "pygame", "rich", "stable_baselines3", "torch", "typer"}
@@ -37,3 +41,12 @@ def test_extras_that_are_named_exist():
     named = [extra for page in (text, *texts) for extra in re.findall(r"(?:fovconn-env|['\"]\.)\[([\w,]+)\]", page)]
     assert len(named) > 10
     assert {extra for names in named for extra in names.split(",")} <= set(extras)
+
+
+@pytest.mark.parametrize("name", ["", ".baselines", ".envs", ".flights", ".maps", ".scenarios", ".sim"])
+def test_public_names_are_there(name):
+    """And no module hides behind one: `scenarios.scenario` is the function."""
+    room = importlib.import_module(f"fovconn_env{name}")
+    assert room.__all__
+    for word in room.__all__:
+        assert not inspect.ismodule(getattr(room, word)), word
