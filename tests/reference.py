@@ -235,7 +235,6 @@ class YawEstimator:
 
     def __init__(self):
         self.p_hat = self.p = None  # p: where j was at the last sight, carried along with i's own motion
-        self.q = np.zeros(3)  # v_j filtered like e
         self.psi = self.psi_used = 0.0
         self.valid = False
         self.since = self.lapse = 0.0
@@ -254,8 +253,8 @@ class YawEstimator:
                 self.psi = -heard.psi_ji
             self.psi_used = self.psi
             return
-        self.observe(sight, v_i, w_i, heard, yaw, dt)
-        e, v = self.e(yaw), self.q if yaw.lag_free else heard.v_j
+        self.observe(sight, v_i, w_i, yaw, dt)
+        e, v = self.e(yaw), heard.v_j
         psi_hat = np.arctan2(e[1], e[0]) - np.arctan2(v[1], v[0])
         k2 = 0.0
         known = np.hypot(*v[:2]) * np.hypot(*e[:2]) > 1e-9
@@ -282,29 +281,22 @@ class YawEstimator:
             if abs(mean) > 1e-3:
                 self.psi_used = np.angle(mean)
 
-    def observe(self, sight, v_i, w_i, heard, yaw, dt):
+    def observe(self, sight, v_i, w_i, yaw, dt):
         """(15) over one tick; the part that i's own motion explains is carried exactly."""
         if self.p_hat is None:
-            self.p, self.p_hat, self.q = sight, sight, np.zeros(3)  # docs/decisions.md: e = 0
+            self.p, self.p_hat = sight, sight  # docs/decisions.md: e = 0
             self.since = self.lapse = 0.0
             return
         self.since += dt
         self.lapse += dt
-        e = self.e(yaw)
         moved = turn(-w_i * dt) @ self.p - dt * turn(-0.5 * w_i * dt) @ v_i - self.p  # -(v_i + S p_ij w_i) dt
         self.p, self.p_hat = self.p + moved, self.p_hat + moved
-        if yaw.lag_free:  # e and q do not lag behind the robots' own turning
-            self.p_hat = self.p - turn(-w_i * dt) @ e / yaw.k1
-            self.q = turn(-heard.w_j * dt) @ self.q
         if sight is None:
             return
-        v_j = turn(-0.5 * heard.w_j * self.lapse) @ heard.v_j
         if yaw.k1 * self.lapse < 1.0:
             self.p_hat = self.p_hat + self.lapse * self.e(yaw)
-            self.q = self.q + yaw.k1 * self.lapse * (v_j - self.q)
         else:  # missed for longer than 1 / k1: e is the mean velocity since then
             self.p_hat = sight - (sight - self.p) / (yaw.k1 * self.lapse)
-            self.q = v_j
         self.p, self.lapse = sight, 0.0
 
 

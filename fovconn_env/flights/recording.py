@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import platform
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ import numpy.typing as npt
 from fovconn_env.errors import rule
 from fovconn_env.files import RECORDING, Archive, Damaged, read_archive, write_archive
 from fovconn_env.flights.rollout import Observer, steps
+from fovconn_env.flights.state_hash import FORMATS, NEWEST, state_hash
 from fovconn_env.kernel.jit import source_hash
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.scenarios.serialize import scenario_from_json, scenario_to_json
@@ -58,6 +58,7 @@ class Recording:
     versions: dict[str, str]  # of fovconn_env, its kernels, python and libraries
     outcome: str  # one of OUTCOMES
     hashes: tuple[tuple[int, str], ...]  # (step, hash of the state after it): 0, every 200, and the last
+    hash_format: int = NEWEST  # see `state_hash`
 
     @property
     def leaders(self) -> np.ndarray:
@@ -69,7 +70,8 @@ class Recording:
 
     def save(self, path: str | Path) -> None:
         """Write the recording to an .npz file; one that is there stays until the new one is whole."""
-        named = {name: getattr(self, name) for name in ("seed", "events", "policies", "versions", "outcome", "hashes")}
+        names = ("seed", "events", "policies", "versions", "outcome", "hashes", "hash_format")
+        named = {name: getattr(self, name) for name in names}
         header = {"scenario": scenario_to_json(self.scenario), "starts": scenario_to_json(self.starts), **named}
         arrays = {"sticks": self.sticks, "actions": self.actions}
         arrays |= {} if self.poses is None else {"poses": self.poses}
@@ -90,8 +92,11 @@ def load(path: str | Path) -> Recording:
             "events": tuple(Event(*event) for event in header["events"]),
             "policies": tuple(header["policies"]),
             "hashes": tuple((int(step), str(digest)) for step, digest in header["hashes"]),
+            "hash_format": header.get("hash_format", 1),
         }
         found = Recording(**words, **{"poses": None, **arrays})
+        hint = "is it of a newer fovconn_env?"
+        rule(found.hash_format in FORMATS, "hash_format", f"one of {FORMATS}", found.hash_format, hint)
         fits = found.sticks.shape == (len(found.actions), 3)
         fits = fits and found.actions.shape == (len(found.actions), found.scenario.n_agents, 4)
     except (KeyError, TypeError, ValueError) as problem:
@@ -205,7 +210,7 @@ def play_back(recording: Recording, *, force: bool = False, observers: Sequence[
     actions, hashes, since = iter(recording.actions[:, None]), dict(recording.hashes), 0
     for t, _ in enumerate(steps(simulator, lambda _: next(actions), observers)):
         if t in hashes:
-            if not force and state_hash(simulator) != hashes[t]:
+            if not force and state_hash(simulator, format=recording.hash_format) != hashes[t]:
                 raise _mismatch(recording, since, t)
             since = t
         yield simulator
@@ -238,14 +243,6 @@ def outcome(simulator: Simulator, world: int = 0) -> str:
     episode = simulator.state.episode[world]
     ends = {"success": "success", "collision": "collision", "disconnected": "disconnected", "truncated": "time"}
     return next((word for name, word in ends.items() if episode[name]), "unfinished")
-
-
-def state_hash(simulator: Simulator, world: int = 0) -> str:
-    """Hash of all bytes of a world's state. What lies between the fields of a record is 0."""
-    digest = hashlib.sha256()
-    for array in simulator.state[:-3]:  # the last three are views
-        digest.update(array[world : world + 1].reshape(-1).view(np.uint8).data)
-    return digest.hexdigest()
 
 
 def versions() -> dict[str, str]:

@@ -150,7 +150,6 @@ TRACK = _record(  # what i keeps about j
         *_numbers("since lapse"),  # s since it was acquired, s since its last correction
         *_numbers("lx ly"),  # m, p_ij at that correction, carried along with i's own motion
         *_numbers("ex ey"),  # m/s, e (16)
-        *_numbers("qx qy"),  # m/s, v_j filtered alike, j's yaw frame (lag-free option)
         *_numbers("cos_yaw sin_yaw"),  # own estimate, state of (19)
         *_numbers("cos_used sin_used"),  # after averaging with j's in mutual view
     ]

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from fovconn_env.errors import SettingError
+from fovconn_env.errors import SettingError, rule
 from fovconn_env.maps.corridor import Corridor
 from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map
@@ -22,6 +22,7 @@ from fovconn_env.scenarios.scenario import Scenario
 
 _GROUPS = [kind for kind in vars(settings).values() if dataclasses.is_dataclass(kind) and isinstance(kind, type)]
 _KINDS: dict[str, type] = {kind.__name__: kind for kind in (Scenario, Forest, Corridor, Recorded, *_GROUPS)}
+_GONE = {"YawEstimator": {"lag_free": False}}  # settings of 0.1.0, and what they must be
 _NOT_FINITE = {"inf": math.inf, "-inf": -math.inf}
 
 
@@ -70,6 +71,10 @@ def _built(value: Any) -> Any:
         return result
     if kind not in _KINDS:
         raise SettingError(f"type must be one of {', '.join(_KINDS)}, got {kind!r}: is it of a newer fovconn_env?")
+    for name, value in _GONE.get(kind, {}).items():
+        if name in words:
+            hint = "the option was taken out in 0.2.0; fly it with fovconn_env 0.1.0"
+            rule(words.pop(name) == value, f"{kind}.{name}", f"{value}", not value, hint)
     known = {item.name for item in dataclasses.fields(_KINDS[kind])}
     for name in words:
         if name not in known:

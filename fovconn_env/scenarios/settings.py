@@ -102,7 +102,6 @@ class YawEstimator:
     v_max: float = positive(0.2)  # m/s, to here
     hold: float = non_negative(0.3)  # s after a robot came into sight in which k2 waits: 3 / k1
     product: bool = False  # mutual view as f*_ij f*_ji, as printed in (19), instead of yes or no
-    lag_free: bool = False  # compare e with v_j filtered alike instead of v_j
 
     def __post_init__(self) -> None:
         check_numbers(self)

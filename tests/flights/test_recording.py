@@ -1,6 +1,5 @@
 """Recordings: every flight comes out again, bit for bit, from its file, and what is no such file is told apart."""
 
-import copy
 import dataclasses
 import json
 import math
@@ -27,6 +26,7 @@ from fovconn_env.flights.recording import (
     state_hash,
     versions,
 )
+from fovconn_env.flights.state_hash import FORMATS, frozen_dtypes
 from fovconn_env.scenarios.presets import LEVELS, PRESETS
 from fovconn_env.scenarios.serialize import scenario_from_json, scenario_to_json
 from tests.helpers import JIT, SETTLED, differing, few, recorded_actions, small, snapshot
@@ -241,31 +241,63 @@ def test_what_is_refused_is_not_recorded():
         Recorder(Simulator(small())).recording()
 
 
-def test_between_the_fields_of_a_record_is_nothing():
-    """Else equal states could have different hashes."""
-    state = record("noise").simulator.state
-    for name, array in state._asdict().items():
-        if array.dtype.names:
+def test_what_lies_between_the_fields_of_a_record_changes_no_hash():
+    simulator = record("noise").simulator
+    whole = [state_hash(simulator, format=format) for format in FORMATS]
+    for name, array in simulator.state._asdict().items():
+        if array.dtype.names and not name.endswith("_row"):
             inside = np.zeros(array.dtype.itemsize, bool)
             for field in array.dtype.names:
                 kind, at = array.dtype.fields[field][:2]
                 inside[at : at + kind.itemsize] = True
-            if not name.endswith("_row"):
-                assert not array.reshape(-1).view(np.uint8).reshape(-1, len(inside))[:, ~inside].any(), name
+            array.reshape(-1).view(np.uint8).reshape(-1, len(inside))[:, ~inside] = 7
+    assert [state_hash(simulator, format=format) for format in FORMATS] == whole
 
 
-def test_a_hash_sees_every_array():
+@pytest.mark.parametrize("format", FORMATS)
+def test_a_hash_sees_every_field(format):
+    """Of every array but the views of the observations, in the first place and in the last."""
     simulator = record("flooding").simulator
-    whole = state_hash(simulator)
-    assert state_hash(copy.deepcopy(simulator)) == whole
-    for k in range(len(simulator.state) - 3):
-        twin = copy.deepcopy(simulator)
-        for place in (0, -1):
-            raw = twin.state[k].reshape(-1).view(np.uint8)
-            raw[place] ^= 1
-            assert state_hash(twin) != whole, simulator.state._fields[k]
-            raw[place] ^= 1
-        assert state_hash(twin) == whole
+    whole = state_hash(simulator, format=format)
+    for name, array in list(simulator.state._asdict().items())[:-3]:
+        for field in array.dtype.names or (...,):
+            values = array[field].reshape(-1) if field is ... else array.reshape(-1)[field]
+            for place in (0, -1):
+                before = values[place]
+                values[place] = not before if values.dtype == bool else 3 + (before == 3)
+                assert state_hash(simulator, format=format) != whole, f"{name} {field}"
+                values[place] = before
+    assert state_hash(simulator, format=format) == whole
+
+
+def test_a_hash_is_of_its_own_world_and_format():
+    batch, alone = Simulator(small(), 2), Simulator(small())
+    batch.reset(4)
+    alone.reset(5)
+    for format in FORMATS:
+        assert state_hash(batch, 1, format=format) == state_hash(alone, format=format)
+        assert state_hash(batch, 0, format=format) != state_hash(alone, format=format)
+    assert state_hash(alone, format=1) != state_hash(alone) == state_hash(alone, format=2)
+    with pytest.raises(ValueError, match=r"format must be one of 1, 2, got 3: is it of a newer"):
+        state_hash(alone, format=3)
+
+
+def test_the_records_of_the_first_format_are_as_long_as_they_were():
+    sizes = {name: dtype.itemsize for name, dtype in frozen_dtypes(1).items() if dtype.names}
+    assert sizes == {
+        "body": 192,
+        "flight": 216,
+        "pair": 48,
+        "ego": 104,
+        "sight": 32,
+        "broadcast": 112,
+        "unicast": 64,
+        "inbox": 184,
+        "track": 168,
+        "belief": 80,
+        "episode": 136,
+        "info": 168,
+    }
 
 
 # --------------------------------------------------------------------------------------------------------- divergence
@@ -486,11 +518,20 @@ def test_a_scenario_survives_json(case):
             assert a.tobytes() == b.tobytes()
 
 
+def test_a_setting_that_is_gone_may_be_off():
+    record = scenario_to_json(scenario())
+    assert scenario_from_json(record | {"yaw": record["yaw"] | {"lag_free": False}}) == scenario()
+
+
 BAD_RECORDS = {
     "type": (lambda r: r | {"type": "Scenery"}, "type must be one of Scenario, "),
     "other type": (lambda r: r["camera"], "must be an object of type Scenario, got Camera"),
     "setting": (lambda r: r | {"warp": 1}, "Scenario has no setting 'warp'"),
     "inner": (lambda r: r | {"camera": r["camera"] | {"zoom": 1}}, "Camera has no setting 'zoom'"),
+    "gone": (
+        lambda r: r | {"yaw": r["yaw"] | {"lag_free": True}},
+        r"YawEstimator\.lag_free must be False, got True: the option was taken out in 0\.2\.0",
+    ),
     "value": (lambda r: r | {"n_agents": 1}, "Scenario.n_agents must be at least 2, got 1"),
     "list": (lambda r: [r], "must be an object of type Scenario, got tuple"),
 }

@@ -28,4 +28,4 @@ def measure(
             watch(step)
     who = " and ".join(dict.fromkeys(recording.policies)) or "someone"
     found = Evaluation(who, recording.scenario, [recording.seed], meter.results(), meter.histograms())
-    return found, state_hash(meter.simulator) == recording.hashes[-1][1]
+    return found, state_hash(meter.simulator, format=recording.hash_format) == recording.hashes[-1][1]

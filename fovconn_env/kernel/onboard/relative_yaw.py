@@ -72,7 +72,7 @@ def estimate_yaw(track, sight, ego, heard, p):
             track.cos_yaw, track.sin_yaw = heard.cos_yaw, -heard.sin_yaw
         track.cos_used, track.sin_used = track.cos_yaw, track.sin_yaw
         return
-    _update_observer(track, sight, ego, heard, p)
+    _update_observer(track, sight, ego, p)
     mutual, cos_direct, sin_direct = False, 1.0, 0.0
     if watched and sight.seen:
         mutual, cos_direct, sin_direct = _yaw_from_bearings(track, heard)
@@ -104,42 +104,34 @@ def estimate_yaw(track, sight, ego, heard, p):
 
 
 @kernel
-def _update_observer(track, sight, ego, heard, p):
+def _update_observer(track, sight, ego, p):
     """Disturbance observer (15), (16) in the form (17): e follows iR_j v_j, the motion that i's own does not explain.
 
-    Exact over a tick of constant velocities. The vertical part tells nothing about yaw and is left out. The lag-free
-    form keeps e and q, v_j filtered alike, free of the two robots' own turning, so that e = iR_j q at all times.
+    Exact over a tick of constant velocities. The vertical part tells nothing about yaw and is left out.
     """
     if not track.tracking:
         track.tracking, track.since, track.lapse = True, 0.0, 0.0
         track.lx, track.ly = sight.x, sight.y
-        track.ex = track.ey = track.qx = track.qy = 0.0
+        track.ex = track.ey = 0.0
         return
     track.since += p.tick
     track.lapse += p.tick
     c, s, lapse = ego.turn_cos, ego.turn_sin, track.lapse
     # where j would be now, had only i moved
     lx, ly = c * track.lx - s * track.ly - ego.shift_x, c * track.ly + s * track.lx - ego.shift_y
-    ex, ey = track.ex, track.ey
-    if p.yaw_lag_free:
-        ex, ey = c * ex - s * ey, c * ey + s * ex
-        track.qx, track.qy = turned(track.qx, track.qy, -heard.yaw_rate * p.tick)
     if not sight.seen:
-        track.lx, track.ly, track.ex, track.ey = lx, ly, ex, ey
+        track.lx, track.ly = lx, ly
         return
     gain = min(p.yaw_k1 * lapse, 1.0)
-    track.ex = ex + gain * ((sight.x - lx) / lapse - ex)  # (14), (17)
-    track.ey = ey + gain * ((sight.y - ly) / lapse - ey)
+    track.ex += gain * ((sight.x - lx) / lapse - track.ex)  # (14), (17)
+    track.ey += gain * ((sight.y - ly) / lapse - track.ey)
     track.lx, track.ly, track.lapse = sight.x, sight.y, 0.0
-    if p.yaw_lag_free:
-        ux, uy = turned(heard.vx, heard.vy, -0.5 * heard.yaw_rate * lapse)
-        track.qx, track.qy = track.qx + gain * (ux - track.qx), track.qy + gain * (uy - track.qy)
 
 
 @kernel
 def _yaw_from_motion(track, heard, p):
-    """yaw_ij from e (16) and v_j, or v_j filtered alike: (gain of (21), norm, norm * cosine, norm * sine)."""
-    ux, uy = (track.qx, track.qy) if p.yaw_lag_free else (heard.vx, heard.vy)
+    """yaw_ij from e (16) and v_j: (gain of (21), norm, norm * cosine, norm * sine)."""
+    ux, uy = heard.vx, heard.vy
     c, s = ux * track.ex + uy * track.ey, ux * track.ey - uy * track.ex
     norm = math.sqrt(c * c + s * s)
     if norm <= 1e-9:
