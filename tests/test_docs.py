@@ -240,6 +240,10 @@ def test_stages_of_a_step_are_called_as_the_architecture_says():
     assert len(stages) > 15
     for name in ", ".join(stages).split(", "):
         assert callable(getattr(step, name))
+    rooms = re.findall(r"(?:maths|world|onboard)/\w+", chart[1])
+    assert len(rooms) > 10
+    for room in rooms:
+        assert (ROOT / "fovconn_env" / "kernel" / f"{room}.py").is_file()
 
 
 def test_new_places_in_the_changelog_exist():
