@@ -5,7 +5,7 @@ LIBRARIES ?= .venvs
 WORKERS ?= 2
 ARGS ?=
 LONG := --policy expert --policy expert-flooding --policy augmented --policy omni
-SHOWN := LeaderFollow-v0_curves.png LeaderObstacles-v0_causes.png LeaderFollow-v0_errors.png
+SHOWN := LeaderFollow-v0_curves.png LeaderObstacles-v0_causes.png
 
 BIN := $(VENV)/bin
 # -qq hides progress and warnings about indexes, never an error. No isolation: the build tools are pinned as well.

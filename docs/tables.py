@@ -5,6 +5,7 @@ In README.md and docs/*.md a table stands between `<!-- KIND:NAME -->` and `<!--
 
 - `results`: a record and one of its tables by the heading it has in the record's page, `results:full LeaderFollow-v0`,
   `results:learned teams`; or `run`, its seeds, date and versions in a line, `results:full run`
+- `five`: five measures of three policies on a scenario, from docs/results/full.json
 - `bench`: `rates`, `bars` or `machine` of docs/benchmark.json, which `fovconn bench --json` writes
 - `layout`: a table of `fovconn_env.layout`, or `scales`, what the named bounds are
 - `settings`: fields of a settings class, with the comment beside each
@@ -50,6 +51,13 @@ SCALES = {
     "age": "radio.memory + radio.delay * clock.tick / clock.rounds",
     "world": "1000",
 }
+FIVE = {  # measures of the README: words, name, digits; shares are in percent
+    "teams never disconnected, %": ("never_disconnected", ".1%"),
+    "flights that reach the goal, connected and without collision, %": ("success", ".1%"),
+    "leader's speed, as a share of what the operator asks for": ("progress", ".2f"),
+    "error of a robot's own lambda2, median, %": ("lambda2_error_median", ".2%"),
+    "bytes that a robot sends in a second": ("bytes_per_second", ",.0f"),
+}
 _MARKED = re.compile(r"(<!-- (\w+):([\w -]+?) -->\n).*?(<!-- end -->)", re.DOTALL)
 _FIELD = re.compile(r"^    (\w+): (.+?) = (.+?)(?:  # (.*))?$", re.MULTILINE)
 
@@ -57,7 +65,7 @@ _FIELD = re.compile(r"^    (\w+): (.+?) = (.+?)(?:  # (.*))?$", re.MULTILINE)
 def rendered(text: str) -> str:
     """A page with its generated tables made anew."""
     kinds = {"layout": layout_table, "settings": settings_table, "keys": keys_table}
-    kinds |= {"bench": bench_table, "results": results_table}
+    kinds |= {"bench": bench_table, "results": results_table, "five": five_table}
     return _MARKED.sub(lambda place: f"{place[1]}\n{kinds[place[2]](place[3])}\n\n{place[4]}", text)
 
 
@@ -126,6 +134,17 @@ def results_table(name: str) -> str:
         return tables.run_line(record)
     table = by_title[title]
     return "\n\n".join([markdown(table), *tables.footnotes(table)])
+
+
+def five_table(name: str) -> str:
+    """The Markdown table of `FIVE` on a scenario."""
+    policies = ("expert", "cohesive", "residual")
+    found = [_record("full")[0].find(policy, name).measures for policy in policies]
+    rows = [
+        [words, *(format(measures[measure].value, form).rstrip("%") for measures in found)]
+        for words, (measure, form) in FIVE.items()
+    ]
+    return markdown((["measure", *(f"`{policy}`" for policy in policies)], rows))
 
 
 @functools.cache

@@ -121,8 +121,10 @@ def test_make_targets_and_extras_exist():
 
 
 # ---------------------------------------------------------------------------------------------------------- files
-def test_pictures_have_palettes():
+def test_pictures_are_shown_and_have_palettes():
+    text = "".join(page.read_text("utf-8") for page in PAGES.values())
     for path in (ROOT / "docs" / "images").rglob("*.png"):
+        assert f"{path.relative_to(ROOT / 'docs')})" in text, f"no page shows {path.name}"
         with Image.open(path) as picture:
             assert picture.mode == "P", f"{path.name}: run python docs/shrink.py"
 
