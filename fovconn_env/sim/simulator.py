@@ -23,7 +23,7 @@ from fovconn_env.scenarios.params import SWITCHES
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.graph import Graph, observed_graph
 from fovconn_env.sim.memory import NO_ACTIONS, NO_MASK, allocate, clear, place, scratch
-from fovconn_env.sim.starts import EpisodeStart, StartSampler, draw_faults
+from fovconn_env.sim.starts import EpisodeStart, StartSampler, check_start, draw_faults
 
 WORLDS_PER_SLICE = 16  # fewer are not worth the way to another thread
 Leader = Literal["waypoints", "none", "random", "human"]
@@ -70,13 +70,13 @@ class Simulator:
         self.params = scenario.params()
         self.world, self.state = allocate(scenario, n_worlds, 1, 1)
         self.state.episode["over"] = True  # until the first reset
-        self._scout = StartSampler(rules)
-        self._rngs: list[np.random.Generator | None] = [None] * n_worlds  # each from its world's first reset on
-        self.seeds: list[int | None] = [None] * n_worlds  # of the episodes; None where a generator went on
-        self._n_threads = min(n_threads or _cores(), max(n_worlds // WORLDS_PER_SLICE, 1))
+        self._sampler = StartSampler(rules)
+        self.generators: list[np.random.Generator | None] = [None] * n_worlds  # each from its world's first reset on
+        self.seeds: list[int | None] = [None] * n_worlds  # which starts were drawn from; None where from none
+        self.n_threads = min(n_threads or _cores(), max(n_worlds // WORLDS_PER_SLICE, 1))
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
         warm = scenario.warmup if scenario.lambda2 in ("power", "flooding") else 0.0
-        self._warm_ticks = max(round(warm / scenario.clock.tick), 2)  # two fill the observation
+        self.warm_ticks = max(round(warm / scenario.clock.tick), 2)  # two fill the observation
 
     # ------------------------------------------------------------------------------------------------ results
     @property
@@ -167,25 +167,30 @@ class Simulator:
         *,
         mask: np.ndarray | None = None,
         poses: np.ndarray | None = None,
+        starts: EpisodeStart | Sequence[EpisodeStart] | None = None,
     ) -> np.ndarray:
         """Start the masked worlds (all by default) and return the observations, (B, N, D).
 
         seed: world b gets seed + b, or seed[b]; None goes on with each world's generator. poses: (N, 4) x, y, z, yaw
-        for every masked world. Raises `ValueError`, leaving every world as it was.
+        for every masked world. starts: one for every masked world, or starts[b] of B, taken as they are instead of
+        drawn; the seed then gives the noise, and faults where a start has none. Raises `ValueError`, leaving every
+        world as it was.
         """
         chosen = np.ones(self.n_worlds, bool) if mask is None else np.asarray(mask, bool)
         if chosen.shape != (self.n_worlds,):
             raise ValueError(f"mask must have the shape ({self.n_worlds},), got {chosen.shape}: one entry a world")
-        seeds = self._seeds(seed)
+        seeds, given = self._seeds(seed), self._given(starts, poses)
         drawn: dict[int, tuple[np.random.Generator, EpisodeStart, int]] = {}
         for b in np.flatnonzero(chosen).tolist():
             rng = self._generator(b) if seeds is None else np.random.default_rng(seeds[b])
-            start = self._scout.draw(rng, poses)
+            start = self._sampler.draw(rng, poses) if given is None else check_start(given[b], self.scenario)
             key = int(rng.integers(2**63))
-            drawn[b] = rng, start._replace(faults=draw_faults(self.scenario, rng)), key
+            faults = start.faults if len(start.faults) else draw_faults(self.scenario, rng)
+            drawn[b] = rng, start._replace(faults=faults), key
         self._make_room(drawn)
         for b, (rng, start, key) in drawn.items():
-            self._rngs[b], self.seeds[b] = rng, None if seeds is None else seeds[b]
+            self.generators[b] = rng
+            self.seeds[b] = None if seeds is None or given is not None else seeds[b]
             self._place(b, start, key)
         self._run(step.BEGIN, NO_ACTIONS, chosen)
         return self.observations
@@ -291,7 +296,7 @@ class Simulator:
 
     def _generator(self, b: int) -> np.random.Generator:
         """A copy of world b's generator. Before the first reset a fresh one: copies of a new simulator then differ."""
-        rng = self._rngs[b]
+        rng = self.generators[b]
         return np.random.default_rng() if rng is None else copy.deepcopy(rng)
 
     def _seeds(self, seed: int | Sequence[int] | None) -> list[int] | None:
@@ -304,6 +309,16 @@ class Simulator:
             many = f", or {self.n_worlds} of them" if self.n_worlds > 1 else ""
             raise ValueError(f"seed must be a whole number, at least 0{many}, got {seed!r}: one a world")
         return [int(s) for s in seeds]
+
+    def _given(
+        self, starts: EpisodeStart | Sequence[EpisodeStart] | None, poses: np.ndarray | None
+    ) -> Sequence[EpisodeStart] | None:
+        if starts is None:
+            return None
+        rule(poses is None, "poses", "left out where starts are given", poses, "a start has poses")
+        given = [starts] * self.n_worlds if isinstance(starts, EpisodeStart) else starts
+        rule(len(given) == self.n_worlds, "starts", f"one, or {self.n_worlds} of them", len(given), "one a world")
+        return given
 
     def _make_room(self, drawn: dict) -> None:
         """Grow the padded obstacle arrays to what the new starts need."""
@@ -335,20 +350,20 @@ class Simulator:
 
     def _run(self, task: int, actions: np.ndarray, mask: np.ndarray, into: np.ndarray | None = None) -> None:
         """Run a task over all worlds; where there are worlds enough, threads take slices of them in turn."""
-        n_slices = 1 if self._n_threads == 1 else min(4 * self._n_threads, self.n_worlds // WORLDS_PER_SLICE)
+        n_slices = 1 if self.n_threads == 1 else min(4 * self.n_threads, self.n_worlds // WORLDS_PER_SLICE)
         edges = [self.n_worlds * k // n_slices for k in range(n_slices + 1)]
         slices = iter(list(itertools.pairwise(edges)))  # to take the next one is atomic
 
         def work() -> None:
             own = scratch(self.scenario.n_agents)
             for first, last in slices:
-                step.run(task, self.state, self.world, own, self.params, actions, mask, self._warm_ticks, first, last)
+                step.run(task, self.state, self.world, own, self.params, actions, mask, self.warm_ticks, first, last)
                 if into is not None:
                     into[first:last] = self.state.flat[first:last]
 
-        if self._n_threads > 1 and (self._pool is None or self._pool[0] != os.getpid()):
-            self._pool = os.getpid(), ThreadPoolExecutor(self._n_threads - 1)  # a forked child has none of its parent
-        helpers = [self._pool[1].submit(work) for _ in range(self._n_threads - 1)] if self._pool else []
+        if self.n_threads > 1 and (self._pool is None or self._pool[0] != os.getpid()):
+            self._pool = os.getpid(), ThreadPoolExecutor(self.n_threads - 1)  # a forked child has none of its parent
+        helpers = [self._pool[1].submit(work) for _ in range(self.n_threads - 1)] if self._pool else []
         work()
         for helper in helpers:
             helper.result()

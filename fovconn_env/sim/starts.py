@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fovconn_env.errors import as_numbers
+from fovconn_env.errors import as_numbers, rule
 from fovconn_env.kernel import records, step
 from fovconn_env.maps.corridor import Corridor
 from fovconn_env.maps.forest import Forest
@@ -199,6 +199,36 @@ def check_poses(poses: np.ndarray, scenario: Scenario) -> np.ndarray:
             f"uav_{j}: nearer counts as a collision"
         )
     return poses
+
+
+def check_start(start: EpisodeStart, scenario: Scenario) -> EpisodeStart:
+    """A start drawn elsewhere, for this scenario; obstacles may touch robots, which then collide at once.
+
+    Raises `ValueError` for shapes, numbers or indices that do not fit.
+    """
+    poses, waypoints = check_poses(start.poses, scenario), as_numbers("waypoints", start.waypoints)
+    most = 0 if scenario.leader == "none" else scenario.course.legs
+    fits = waypoints.ndim == 2 and waypoints.shape[1] == 3 and min(most, 1) <= len(waypoints) <= most
+    rule(
+        fits,
+        "waypoints of a start",
+        f"({min(most, 1)} to {most}, 3)",
+        waypoints.shape,
+        "one a leg, if there is a leader",
+    )
+    vertices, first, count = as_numbers("vertices", start.vertices), start.pieces["first"], start.pieces["count"]
+    inside = vertices.shape == (len(vertices), 2) and bool(((first >= 0) & (first + count <= len(vertices))).all())
+    rule(
+        inside, "pieces of a start", f"of its {len(vertices)} vertices (V, 2)", vertices.shape, "Map.flatten makes both"
+    )
+    finite = bool(np.isfinite(waypoints).all() and np.isfinite(vertices).all())
+    rule(finite, "way points and vertices of a start", "finite", "NaN or infinity", "metres")
+    robots, fine = start.faults["robot"], len(start.faults) in (0, len(scenario.faults))
+    fine = fine and bool(((robots >= 0) & (robots < scenario.n_agents)).all())
+    rule(
+        fine, "faults of a start", f"{len(scenario.faults)} of the scenario's robots", robots.tolist(), "or none: drawn"
+    )
+    return start._replace(poses=poses, waypoints=waypoints, vertices=vertices)
 
 
 def check_room(poses: np.ndarray, obstacles: Map, scenario: Scenario) -> None:

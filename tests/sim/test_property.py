@@ -11,7 +11,6 @@ from fovconn_env.kernel import step
 from fovconn_env.kernel.onboard import flooding, messages, observation, power_iteration, relative_yaw
 from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios.settings import Airframe, Camera, Clock, Course, Noise, Radio
-from fovconn_env.sim.memory import NO_ACTIONS
 from fovconn_env.sim.simulator import Simulator
 from fovconn_env.sim.starts import EpisodeStart
 from tests import reference as ref
@@ -207,13 +206,6 @@ def test_options_keep_observations_within_bounds(case):
 
 
 # ------------------------------------------------------------------------------------------------ no common frame
-def begin(simulator, start, key):
-    """Start an episode of the one world from a given start and noise key."""
-    simulator._make_room({0: (None, start, key)})
-    simulator._place(0, start, key)
-    simulator._run(step.BEGIN, NO_ACTIONS, np.ones(1, bool))
-
-
 def start_of(simulator):
     world = simulator.world
     piece = world.piece[0][world.piece[0]["count"] > 0]
@@ -268,9 +260,9 @@ TURNS = [(-0.7, (1e3, -700.0, 50.0)), (2.0, (0.0, 0.0, 0.0)), (np.pi, (-1e3, 1e3
 def test_turning_and_shifting_the_world_changes_nothing(case, angle, shift):
     here = Simulator(small(course=MOVING, patience=1e3, **framed(case)))
     here.reset(7)
-    there, start, key = copy.deepcopy(here), start_of(here), here.state.episode["key"][0]
-    begin(here, start, key)
-    begin(there, turned(start, angle, np.array(shift)), key)
+    there, start = copy.deepcopy(here), start_of(here)
+    here.reset(7, starts=start)
+    there.reset(7, starts=turned(start, angle, np.array(shift)))
     worst = difference(here, there)
     for action in recorded_actions(20, 4, size=0.3):
         here.step(action)

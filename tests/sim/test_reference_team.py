@@ -33,7 +33,7 @@ def test_whole_team(case):
     simulator.reset(11)
     start, key = simulator.poses()[0], simulator.state.episode["key"][0]
     team = Team(scenario, start, first_entries(key, 5))
-    for _ in range(simulator._warm_ticks):
+    for _ in range(simulator.warm_ticks):
         team.tick()
     team.conclude()
     compare(simulator, team)

@@ -6,9 +6,11 @@ A draw is bounded: the random numbers it takes are counted.
 import numpy as np
 import pytest
 
-from fovconn_env import Corridor, Course, Forest, Map, Start, scenario
+from fovconn_env import Corridor, Course, Fault, Forest, Map, Radio, Simulator, Start, scenario
+from fovconn_env.kernel.records import FAULT
 from fovconn_env.maps import forest as forest_module
 from fovconn_env.sim import starts
+from tests.helpers import differing, small, snapshot
 from tests.maps.test_maps import inside_by_even_odd, star
 
 KNOWN = ("Start must allow lambda2 in", "Forest found no room for a", "Course must keep its way points")
@@ -197,3 +199,66 @@ def test_what_leaves_no_room_ends_soon(changes, message, monkeypatch):
     with pytest.raises(ValueError, match=message):
         starts.StartSampler(task).draw(counting)
     assert counting.count <= most_draws(task)
+
+
+# ----------------------------------------------------------------------------------------------- starts drawn elsewhere
+def drawn(task, seed):
+    return starts.StartSampler(task).draw(np.random.default_rng(seed))
+
+
+def test_a_start_may_be_handed_in():
+    """For all masked worlds or one each; what is not in it, noise and open faults, comes from the seed."""
+    task = small("LeaderObstacles-v0", faults=(Fault(at=(0.1, 0.9)),), radio=Radio(loss=0.3))
+    given = [drawn(task, seed) for seed in (1, 2)]
+    batch, alone = Simulator(task, 2), Simulator(task)
+    batch.reset([5, 6], starts=given)
+    assert batch.seeds == [None, None]
+    for b, start in enumerate(given):
+        np.testing.assert_array_equal(batch.poses()[b], start.poses)
+        np.testing.assert_array_equal(batch.world.waypoint[b], start.waypoints)
+        np.testing.assert_array_equal(batch.world.piece[b, : len(start.pieces)], start.pieces)
+        alone.reset(5 + b, starts=start)
+        assert differing(snapshot(alone, 0), snapshot(batch, b)) == []
+    before = snapshot(batch, 0)
+    batch.reset(9, mask=np.array([False, True]), starts=given[0])
+    assert differing(snapshot(batch, 0), before) == []
+    np.testing.assert_array_equal(batch.poses()[1], given[0].poses)
+    fault = batch.world.fault[:1].copy()
+    batch.reset(3, starts=given[0]._replace(faults=fault[0]))
+    np.testing.assert_array_equal(batch.world.fault, np.repeat(fault, 2, axis=0))
+
+
+REFUSED = {
+    "overlap": (lambda s: s._replace(poses=0.0 * s.poses), "poses must keep robots"),
+    "shape": (lambda s: s._replace(poses=s.poses[:2]), r"poses must have the shape \(4, 4\), got \(2, 4\)"),
+    "no way": (
+        lambda s: s._replace(waypoints=np.zeros((0, 3))),
+        r"waypoints of a start must be \(1 to 3, 3\), got \(0",
+    ),
+    "long": (
+        lambda s: s._replace(waypoints=np.zeros((4, 3))),
+        r"waypoints of a start must be \(1 to 3, 3\), got \(4",
+    ),
+    "nowhere": (
+        lambda s: s._replace(waypoints=s.waypoints * np.nan),
+        "vertices of a start must be finite",
+    ),
+    "corners": (lambda s: s._replace(vertices=s.vertices[:-1]), "pieces of a start must be of its"),
+    "flat": (lambda s: s._replace(vertices=s.vertices[:, :1]), "pieces of a start must be of its"),
+    "faults": (lambda s: s._replace(faults=np.zeros(2, FAULT)), "faults of a start must be 0 of the scenario's robots"),
+    "many": (lambda s: [s, s, s], r"starts must be one, or 2 of them, got 3"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_starts_that_do_not_fit_are_refused(case):
+    task = small("LeaderObstacles-v0")
+    change, message = REFUSED[case]
+    batch = Simulator(task, 2)
+    batch.reset(1)
+    before = snapshot(batch, 1)
+    with pytest.raises(ValueError, match=message):
+        batch.reset(2, starts=change(drawn(task, 1)))
+    with pytest.raises(ValueError, match="poses must be left out where starts are given"):
+        batch.reset(2, starts=drawn(task, 1), poses=batch.poses()[0])
+    assert differing(snapshot(batch, 1), before) == []

@@ -186,7 +186,7 @@ def pack_simulator(simulator: Simulator) -> dict[str, np.ndarray]:
     """Worlds, state and generators of a simulator as arrays; views of other arrays are left out."""
     arrays = {f"state/{name}": a for name, a in simulator.state._asdict().items() if not name.endswith("_row")}
     arrays |= {f"world/{name}": a for name, a in simulator.world._asdict().items()}
-    states = [json.dumps(rng.bit_generator.state) if rng else "" for rng in simulator._rngs]
+    states = [json.dumps(rng.bit_generator.state) if rng else "" for rng in simulator.generators]
     return arrays | {"generators": np.array(states)}
 
 
@@ -204,4 +204,4 @@ def unpack_simulator(simulator: Simulator, arrays: Mapping[str, np.ndarray]) -> 
         rng = np.random.default_rng(0)
         if text:
             rng.bit_generator.state = json.loads(text)
-        simulator._rngs[b] = rng if text else None
+        simulator.generators[b] = rng if text else None
