@@ -13,6 +13,7 @@ from fovconn_env import PRESETS, Scenario, Simulator, scenario
 from fovconn_env.baselines import POLICIES, find_policy
 from fovconn_env.flights.metrics import Meter
 from fovconn_env.flights.recording import Recorder
+from fovconn_env.flights.rollout import decide, steps
 from fovconn_env.training.play.handover import Handover
 from fovconn_env.training.play.score import Score, score_of
 from fovconn_env.training.play.script import script_stick
@@ -53,18 +54,13 @@ class Session:
 
         heading: where the stick's forward points, rad in the world frame, None for where the flown robot looks.
         """
-        simulator, flown = self.simulator, self.flown
         if self.over:
             return
+        self._stick, self._heading = stick, heading
         if self.led:
-            own_pull = flown == self.leader
-            simulator.push(self._velocity(stick, heading) if own_pull else script_stick(simulator) * self.scripted)
-        actions = self._policy.act(simulator.observations).astype(np.float64)
-        if flown is not None:
-            self._take(actions[0, flown], stick, heading)
-        self.handover.soften(simulator, actions[0])
-        self._flyer.step(actions)
-        self._meter.update()
+            own_pull = self.flown == self.leader
+            self.simulator.push(self._velocity() if own_pull else script_stick(self.simulator) * self.scripted)
+        next(self._rollout)
         if self.over:
             self.save()
 
@@ -80,12 +76,12 @@ class Session:
 
     def save(self) -> Path | None:
         """Write the flight's recording, if it is recorded and there is anything of it; returns the file."""
-        if self._record is None or not isinstance(self._flyer, Recorder) or not self.steps:
+        if self._record is None or not self.steps:
             return None
         number = f"-{self._flights}" if self._flights > 1 else ""
         path = self._record.with_stem(self._record.stem + number)
-        self._flyer.policies = tuple(", ".join(words) for words in self._words)
-        self._flyer.recording().save(path)
+        self._recorder.policies = tuple(", ".join(words) for words in self._words)
+        self._recorder.recording().save(path)
         if path not in self.files:
             self.files.append(path)
         return path
@@ -212,30 +208,33 @@ class Session:
     def _board(self, name: str, policy: str, seed: int) -> None:
         """Begin a flight in another scenario or with another policy; nothing changes where that is impossible."""
         kind = find_policy(policy)
-        wanted = kind.equip(scenario(name, **self._changes))
+        base = scenario(name, **self._changes)
+        wanted = kind.equip(base)
         if wanted.leader not in ("waypoints", "human", "none"):
             hint = "you pull, or the script"
             raise ValueError(f"leader must be waypoints, human or none to play, got {wanted.leader!r}: {hint}")
         led = wanted.leader != "none"
         chosen: Scenario = dataclasses.replace(wanted, leader="human") if led else wanted
-        simulator, pilot_ = Simulator(chosen), kind(chosen)
+        simulator, pilot_ = Simulator(chosen, starts=base), kind(chosen)
         simulator.reset(seed)  # a start may not be found
         if self._flights:
             self.save()
         self._name, self.policy, self._policy, self.scenario, self.led = name, policy, pilot_, chosen, led
         self.simulator = simulator
-        self._flyer = Recorder(simulator) if self._record is not None else simulator
         self.flown: int | None = chosen.leader_index if led else None
         self._begin(seed, saved=True)
 
     def _begin(self, seed: int, *, saved: bool = False) -> None:
         if not saved:
             self.save()
-        self._flyer.reset(seed)
+        self.simulator.reset(seed)
         self.seed = seed
         self._flights += 1
         self._policy.reset()
-        self._meter = Meter(self.simulator)
+        self._meter, self._recorder = Meter(), Recorder()
+        observers = [self._meter, self._recorder] if self._record is not None else [self._meter]
+        self._rollout = steps(self.simulator, self._act, observers)
+        next(self._rollout)  # the start
         self.handover = Handover(self.scenario.n_agents)
         self._words: list[list[str]] = [[] for _ in range(self.scenario.n_agents)]
         if self.flown is not None and self.led and self.flown != self.scenario.leader_index:
@@ -253,15 +252,24 @@ class Session:
         for robot, words in enumerate(self._words):
             words += [word for word in (self.policy, "human" * (robot == self.flown)) if word and word not in words]
 
-    def _velocity(self, stick: Stick, heading: float | None) -> np.ndarray:
-        turn = 0.0 if heading is None else heading - self.yaw()
-        return velocity(stick, self.full_stick, turn)
+    def _act(self, _: np.ndarray) -> np.ndarray:
+        """Actions (1, N, 4) of the next step: the policy's, but for the robot that the person flies."""
+        actions = decide(self._policy, self.simulator)
+        if self.flown is not None:
+            self._take(actions[0, self.flown], self._stick)
+        self.handover.soften(self.simulator, actions[0])
+        return actions
 
-    def _take(self, action: np.ndarray, stick: Stick, heading: float | None) -> None:
+    def _velocity(self) -> np.ndarray:
+        """What the person's stick stands for, (3,) m/s in the flown robot's yaw frame."""
+        turn = 0.0 if self._heading is None else self._heading - self.yaw()
+        return velocity(self._stick, self.full_stick, turn)
+
+    def _take(self, action: np.ndarray, stick: Stick) -> None:
         """Put what the person wants into the flown robot's action (4,); a leader's velocity is the operator's stick."""
         if self.led and self.flown == self.leader:
             action[3] = (1.0 - abs(stick.yaw)) * action[3] + stick.yaw
             return
         top = self.scenario.speed_limit + self.scenario.stick_speed
-        action[:3] = self._velocity(stick, heading) / top
+        action[:3] = self._velocity() / top
         action[3] = stick.yaw
