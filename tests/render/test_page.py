@@ -154,7 +154,7 @@ def test_the_script_reads_what_was_written(page):
     assert [(i, j) for i, j, *_ in links] == wanted
     for i, j, weight, own, other in links:
         assert weight == pytest.approx(FLIGHT.weights[k, i, j], abs=1 / 255)
-        assert (own, other) == (FLIGHT.f_star[k, i, j] > 0, FLIGHT.f_star[k, j, i] > 0)
+        assert (own, other) == (FLIGHT.watch[k, i, j] > 0, FLIGHT.watch[k, j, i] > 0)
 
 
 # --------------------------------------------------------------------------------------------------- in a browser

@@ -278,7 +278,7 @@ def test_links_look_like_the_sight_they_stand_for(flight):
 @pytest.mark.parametrize("k, eye, seen", [(30, 1, 0), (70, 0, 1)])
 def test_arrow_of_a_one_way_link_stands_before_the_robot_that_is_seen(flight, k, eye, seen):
     scene = Scene(style.sheet(4.0, 4.0).add_subplot(), flight.scenario, 30.0)
-    scene.show(flight.poses[k], flight.tilt[k], flight.stick[k], flight.weights[k], flight.f_star[k])
+    scene.show(flight.poses[k], flight.tilt[k], flight.stick[k], flight.weights[k], flight.watch[k])
     arrows = next(artist for artist in scene.artists if artist.get_zorder() == ARROWS)
     (arrow,) = (path.vertices for path in arrows.get_paths())
     at = flight.poses[k, :, :2]

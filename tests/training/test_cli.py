@@ -288,7 +288,7 @@ def recomputed(flight: Flight) -> dict[str, float]:
     steps = range(1, len(flight.time))  # the start does not count
     pairs = [(i, j) for i in range(n) for j in range(i + 1, n)]
     split = [k for k in steps if not flight.lambda2[k] > s.lambda2_min]
-    sees = flight.f_star > 0
+    sees = flight.watch > 0
     position = flight.poses[..., :3]
     speed = [[np.linalg.norm(position[k, i] - position[k - 1, i]) / dt for i in range(n)] for k in steps]
     moved = next((k for k in steps if max(speed[k - 1]) > 0.05), math.inf)
@@ -376,7 +376,7 @@ def test_meter_against_a_recording(case):
 
     errors = np.abs(flight.lambda2_hat - flight.lambda2[:, None])[1:] / flight.lambda2[1:, None]
     half = np.abs(np.sin(ref.wrap(flight.yaw_hat - flight.yaw) / 2))[1:]
-    sees, valid = flight.f_star[1:] > 0, flight.yaw_valid[1:]
+    sees, valid = flight.watch[1:] > 0, flight.yaw_valid[1:]
     both, one = sees & sees.transpose(0, 2, 1), sees ^ sees.transpose(0, 2, 1)
     kinds = errors[flight.lambda2[1:] > settings.lambda2_min].ravel(), half[both & valid], half[one & valid]
     edges = np.array([-np.inf, *bin_edges(), np.inf])

@@ -109,7 +109,7 @@ def test_csv_is_a_tidy_table_of_the_flight(fovconn, file, recording):
         assert stick == (flight.stick[k].tolist() if i == 0 else [0, 0, 0])
         assert int(row["n_edges"]) == flight.n_edges[k]
         assert int(row["neighbors"]) == (flight.weights[k, i] > 0).sum()
-        assert int(row["seen_by"]) == (flight.f_star[k, :, i] > 0).sum()
+        assert int(row["seen_by"]) == (flight.watch[k, :, i] > 0).sum()
 
 
 def test_the_table_knows_who_led():
