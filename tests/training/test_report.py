@@ -16,7 +16,7 @@ from fovconn_env import scenario
 from fovconn_env.training.evaluation import evaluate
 from fovconn_env.training.evaluation.comparison import compare
 from fovconn_env.training.evaluation.marl_eval import to_marl_eval
-from fovconn_env.training.evaluation.pictures import looks
+from fovconn_env.training.evaluation.pictures import line_styles
 from fovconn_env.training.evaluation.report import MOST_LOST, lost_table, write_report
 from fovconn_env.training.evaluation.results import record_of
 from fovconn_env.training.evaluation.statistics import paired_share_difference, share_interval
@@ -324,9 +324,9 @@ def test_links_lead_to_the_definitions(team, tmp_path, monkeypatch):
 
 
 def test_every_policy_looks_different():
-    found = looks([f"policy-{k}" for k in range(15)] + ["expert"])
-    assert len(set(found.values())) == 16
-    assert found["expert"] == looks(["expert"])["expert"]
+    styles = line_styles([f"policy-{k}" for k in range(15)] + ["expert"])
+    assert len(set(styles.values())) == 16
+    assert styles["expert"] == line_styles(["expert"])["expert"]
 
 
 # ------------------------------------------------------------------------------------------------------------- export

@@ -28,12 +28,12 @@ def preview(file: Path, folder: Path, base: str | None, seeds: Sequence[int]) ->
 
 def _starts(chosen: Scenario, seeds: Sequence[int]) -> tuple[list[tuple[np.ndarray, np.ndarray]], str]:
     """Poses and way points from each seed, as far as there are any, and the first problem."""
-    simulator, found, problem = Simulator(chosen), [], ""
+    simulator, starts, problem = Simulator(chosen), [], ""
     for seed in seeds:
         try:
             simulator.reset(seed)
         except ValueError as reason:
-            return found, f"seed {seed}: {reason}"
+            return starts, f"seed {seed}: {reason}"
         count = simulator.world.n_waypoints[0]
-        found.append((simulator.poses()[0].copy(), simulator.world.waypoint[0, :count].copy()))
-    return found, problem
+        starts.append((simulator.poses()[0].copy(), simulator.world.waypoint[0, :count].copy()))
+    return starts, problem

@@ -14,8 +14,8 @@ nothing.
 Names: marl-eval lower-cases every key and shows policies in upper case; it joins policies with a comma, which is why
 `to_marl_eval` refuses one in a label. Hyphens, dots, digits and spaces are safe: "expert-no-yaw" and
 "LeaderFollow-v0" come out as "expert-no-yaw" and "leaderfollow-v0". Two labels that differ in case only are refused.
-It normalises what it is told to (`metrics_to_normalize=["return"]`) by the least and the greatest episode of a task
-over all policies, not by random and the expert.
+It normalises the metrics it is given (`metrics_to_normalize=["return"]`) by the least and the greatest episode of a
+task over all policies, not by random and the expert.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ def to_marl_eval(evaluations: Sequence[Evaluation]) -> dict[str, Any]:
     is left out everywhere: marl-eval wants the same ones of all tasks. Raises `ValueError` for labels that it cannot
     tell apart.
     """
-    scenarios = list(dict.fromkeys(found.scenario.name for found in evaluations))
-    cells = {(found.scenario.name, found.policy): found for found in evaluations}
-    labels = dict.fromkeys(found.policy for found in evaluations)
+    scenarios = list(dict.fromkeys(each.scenario.name for each in evaluations))
+    cells = {(each.scenario.name, each.policy): each for each in evaluations}
+    labels = dict.fromkeys(each.policy for each in evaluations)
     policies = [label for label in labels if all((name, label) in cells for name in scenarios)]
     _check(policies)
     chosen = [cells[name, policy] for name in scenarios for policy in policies]
-    count = math.gcd(*(len(found.seeds) for found in chosen))
+    count = math.gcd(*(len(each.seeds) for each in chosen))
     runs = max((k for k in range(1, MOST_RUNS + 1) if count % k == 0), default=1)
-    metrics = [kind for kind in METRICS if all(all(_blocks(found, kind, runs)) for found in chosen)]
+    metrics = [kind for kind in METRICS if all(all(_blocks(each, kind, runs)) for each in chosen)]
     tasks = {name: {policy: _runs(cells[name, policy], metrics, runs) for policy in policies} for name in scenarios}
     return {ENVIRONMENT: tasks}
 
@@ -64,14 +64,14 @@ def _check(policies: Sequence[str]) -> None:
             raise ValueError(f"policy labels must differ in more than case for marl-eval, got {other!r} and {policy!r}")
 
 
-def _blocks(found: Evaluation, metric: str, runs: int) -> list[list[float]]:
+def _blocks(evaluation: Evaluation, metric: str, runs: int) -> list[list[float]]:
     """A metric's values in blocks of consecutive seeds, without NaN."""
-    return [block[np.isfinite(block)].tolist() for block in np.reshape(found.episodes[metric], (runs, -1))]
+    return [block[np.isfinite(block)].tolist() for block in np.reshape(evaluation.episodes[metric], (runs, -1))]
 
 
-def _runs(found: Evaluation, metrics: Sequence[str], runs: int) -> dict[str, Any]:
+def _runs(evaluation: Evaluation, metrics: Sequence[str], runs: int) -> dict[str, Any]:
     """The blocks as runs."""
-    blocks = {metric: _blocks(found, metric, runs) for metric in metrics}
+    blocks = {metric: _blocks(evaluation, metric, runs) for metric in metrics}
     result = {}
     for k in range(runs):
         values = {metric: blocks[metric][k] for metric in metrics}

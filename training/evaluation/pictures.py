@@ -36,7 +36,7 @@ Dashes = str | tuple[float, tuple[float, ...]]
 DASHES: tuple[Dashes, ...] = "-", (0, (5, 2)), (0, (1, 1.5))
 
 
-class Look(NamedTuple):
+class LineStyle(NamedTuple):
     """How a policy is drawn everywhere."""
 
     color: str
@@ -51,17 +51,17 @@ class Picture(NamedTuple):
     text: str
 
 
-def looks(policies: list[str]) -> dict[str, Look]:
+def line_styles(policies: list[str]) -> dict[str, LineStyle]:
     """Black for the expert, for the others seven colours times three dashes."""
-    pairs = itertools.cycle(Look(color, dashes) for dashes in DASHES for color in FOLLOWERS)
+    pairs = itertools.cycle(LineStyle(color, dashes) for dashes in DASHES for color in FOLLOWERS)
     others = {policy: next(pairs) for policy in policies if policy != EXPERT}
-    return {policy: others.get(policy, Look(LEADER, "-")) for policy in policies}
+    return {policy: others.get(policy, LineStyle(LEADER, "-")) for policy in policies}
 
 
 @matplotlib.rc_context(RC)
 def draw(comparison: Comparison, names: Mapping[str, str], scenario: str, folder: Path) -> list[Picture]:
     """Draw all pictures of a scenario into a folder; names: what each of its policies is called, with its mark."""
-    look, compared = looks(comparison.policies), comparison.on(scenario)
+    styles, compared = line_styles(comparison.policies), comparison.on(scenario)
     kinds: list[tuple[str, str, str, Callable[..., Figure | None]]] = [
         ("curves", "Connectivity and score", CURVES_TEXT, draw_curves),
         ("differences", "Differences to the expert", DIFFERENCES_TEXT, draw_differences),
@@ -70,7 +70,7 @@ def draw(comparison: Comparison, names: Mapping[str, str], scenario: str, folder
     ]
     pictures = []
     for kind, title, text, make in kinds:
-        figure = make(compared, names, look)
+        figure = make(compared, names, styles)
         if figure is not None:
             path = folder / f"{re.sub(r'[^A-Za-z0-9.-]+', '_', scenario)}_{kind}.png"
             pictures.append(Picture(save(figure, path), title, text))
@@ -93,9 +93,9 @@ ERRORS_TEXT = (
 
 
 # --------------------------------------------------------------------------------------------------------- pictures
-def draw_curves(compared: Mapping[str, Compared], names: Mapping[str, str], look: Mapping[str, Look]) -> Figure:
+def draw_curves(compared: Mapping[str, Compared], names: Mapping[str, str], styles: Mapping[str, LineStyle]) -> Figure:
     """Survival of connectivity over time, and the performance profile."""
-    figure, lines = _with_legend(3.1, names, look)
+    figure, lines = _with_legend(3.1, names, styles)
     left, right = figure.subplots(1, 2)
     least = 1.0
     for policy, each in compared.items():
@@ -103,7 +103,7 @@ def draw_curves(compared: Mapping[str, Compared], names: Mapping[str, str], look
         lost = np.isfinite(episodes["first_disconnection"])
         curve = survival(np.where(lost, episodes["first_disconnection"], episodes["duration"]), lost)
         left.step(curve.times, curve.share, where="post", **lines[policy])
-        left.fill_between(curve.times, curve.low, curve.high, step="post", color=look[policy].color, alpha=0.10, lw=0)
+        left.fill_between(curve.times, curve.low, curve.high, step="post", color=styles[policy].color, alpha=0.10, lw=0)
         least = min(least, float(curve.share.min()))
     floor = max(min(least - 0.1, 0.9), 0.0)
     reach = 0.02 * (1.0 - floor)
@@ -124,7 +124,7 @@ def draw_curves(compared: Mapping[str, Compared], names: Mapping[str, str], look
 
 
 def draw_differences(
-    compared: Mapping[str, Compared], names: Mapping[str, str], look: Mapping[str, Look]
+    compared: Mapping[str, Compared], names: Mapping[str, str], styles: Mapping[str, LineStyle]
 ) -> Figure | None:
     """Paired differences to the expert; None without one."""
     others = {policy: each.result for policy, each in compared.items() if EXPERT in each.result.against}
@@ -136,8 +136,8 @@ def draw_differences(
     for panel, measure, title in zip(axes, *measures, strict=True):
         for row, (policy, result) in enumerate(others.items()):
             value, low, high = result.difference(EXPERT, measure)
-            panel.plot([low, high], [row, row], color=look[policy].color, lw=1.6)
-            panel.plot(value, row, "o", color=look[policy].color, ms=5)
+            panel.plot([low, high], [row, row], color=styles[policy].color, lw=1.6)
+            panel.plot(value, row, "o", color=styles[policy].color, ms=5)
         panel.axvline(0.0, color=DARK, lw=1.0, zorder=1)
         panel.set(title=title, xlabel="policy - expert, percentage points")
         panel.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0, symbol=""))
@@ -146,8 +146,8 @@ def draw_differences(
     return figure
 
 
-def draw_causes(compared: Mapping[str, Compared], names: Mapping[str, str], look: Mapping[str, Look]) -> Figure:
-    """Reasons of lost links, a minute, and of splits."""
+def draw_causes(compared: Mapping[str, Compared], names: Mapping[str, str], styles: Mapping[str, LineStyle]) -> Figure:
+    """Lost links a minute and splits of the team, by cause."""
     figure = sheet(WIDTH, 1.35 + ROW * len(compared))
     left, right = figure.subplots(1, 2, sharey=True)
     lost, splits = np.zeros((len(compared), len(LOST_BY))), np.zeros((len(compared), len(SPLIT_CAUSE) - 1))
@@ -172,9 +172,9 @@ def draw_causes(compared: Mapping[str, Compared], names: Mapping[str, str], look
     return figure
 
 
-def draw_errors(compared: Mapping[str, Compared], names: Mapping[str, str], look: Mapping[str, Look]) -> Figure:
+def draw_errors(compared: Mapping[str, Compared], names: Mapping[str, str], styles: Mapping[str, LineStyle]) -> Figure:
     """Distribution functions of the estimators' errors."""
-    figure, lines = _with_legend(2.9, names, look)
+    figure, lines = _with_legend(2.9, names, styles)
     titles = r"Estimate of $\lambda_2$", "Relative yaw, mutual view", "Relative yaw, one-way"
     labels = r"$|\hat\lambda_2 - \lambda_2|\;/\;\lambda_2$", "sin(error / 2)", "sin(error / 2)"
     bounds, ticks = ((1e-5, 200.0), *((1e-4, 1.0),) * 2), ([1e-4, 1e-2, 1, 100], *([1e-3, 1e-2, 1e-1],) * 2)
@@ -203,7 +203,7 @@ def _profile(compared: Mapping[str, Compared]) -> tuple[str, dict[str, np.ndarra
 
 
 def _with_legend(
-    height: float, names: Mapping[str, str], look: Mapping[str, Look]
+    height: float, names: Mapping[str, str], styles: Mapping[str, LineStyle]
 ) -> tuple[Figure, dict[str, dict[str, Any]]]:
     """A page with all policies named below what is drawn on it, and how to draw their lines.
 
@@ -213,7 +213,7 @@ def _with_legend(
     figure = sheet(WIDTH, height + 0.19 * math.ceil(len(names) / columns))
     widths = np.linspace(3.0, 1.3, len(names)) if len(names) > 1 else [2.0]
     lines = {
-        policy: {"color": look[policy].color, "ls": look[policy].dashes, "lw": float(width)}
+        policy: {"color": styles[policy].color, "ls": styles[policy].dashes, "lw": float(width)}
         for policy, width in zip(names, widths, strict=True)
     }
     handles = [Line2D([], [], label=name, **lines[policy]) for policy, name in names.items()]

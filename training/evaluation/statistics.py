@@ -1,4 +1,4 @@
-"""What can be said of policies from their episodes, with 95 % intervals; after Agarwal et al., NeurIPS 2021.
+"""Statistics of episodes with 95 % intervals, after Agarwal et al., NeurIPS 2021.
 
 Two policies fly the same seeds: `a` and `b` of a comparison are paired, entry by entry. A stratum is a scenario. Every
 resample comes from a generator with a fixed seed, so that the same episodes always give the same numbers.
