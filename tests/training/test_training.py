@@ -21,6 +21,7 @@ from fovconn_env.baselines.learned.cards import BASES
 from fovconn_env.baselines.learned.inputs import LEADER, OWN, ROW
 from fovconn_env.baselines.learned.networks import FlatEncoder, SetEncoder
 from fovconn_env.baselines.learned.policy import from_file, silu
+from fovconn_env.flights.state_hash import frozen_dtypes, state_hash
 from fovconn_env.kernel.jit import entry
 from fovconn_env.training.evaluation import evaluate, summary
 from fovconn_env.training.evaluation.campaign import Interrupted
@@ -40,7 +41,7 @@ from fovconn_env.training.learn.learning import (
 )
 from fovconn_env.training.learn.ppo import PPOSettings, Team
 from fovconn_env.training.learn.residual import Residual, ResidualSettings
-from fovconn_env.training.learn.rows import Rows
+from fovconn_env.training.learn.rows import Rows, pack_simulator, unpack_simulator
 from tests.helpers import recorded_actions
 
 ROOT = Path(__file__).parents[2]
@@ -375,6 +376,29 @@ def test_ppo_of_sb3_goes_on_from_a_model(tmp_path):
     exec(example, space)
     assert space["model"].num_timesteps >= 96
     assert isinstance(space["model"], PPO)
+
+
+def test_worlds_of_a_checkpoint_of_version_0_1_go_on():
+    """Its records had other names, and two fields more."""
+    old = {"ego": "own", "broadcast": "post", "unicast": "mail"}
+    first, second = Simulator(scenario(n_agents=4), 2), Simulator(scenario(n_agents=4), 2)
+    first.reset(3)
+    second.reset(4)
+    arrays = pack_simulator(first)
+    for name, dtype in frozen_dtypes(1).items():
+        array = arrays.pop(f"state/{name}")
+        if dtype.names:
+            fields = [(f"old_{field}", dtype[field]) for field in dtype.names]
+            record = np.zeros(array.shape, np.dtype(fields, align=True))
+            for field in array.dtype.names:
+                record[f"old_{field}"] = array[field]
+            array = record
+        arrays[f"state/{old.get(name, name)}"] = array
+    unpack_simulator(second, arrays)
+    for step in range(30):
+        actions = np.full((2, 4, 4), 0.1 * np.sin(step))
+        np.testing.assert_array_equal(first.step(actions), second.step(actions))
+    assert [state_hash(first, b) for b in range(2)] == [state_hash(second, b) for b in range(2)]
 
 
 # ---------------------------------------------------------------------------------------------------- bad input

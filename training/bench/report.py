@@ -53,7 +53,7 @@ def bars(main: int, largest: int, rows: int) -> list[Bar]:
 
 def record(result: Result) -> dict[str, Any]:
     """Everything about a run that is worth keeping."""
-    from fovconn_env.training.evaluation.results import plain
+    from fovconn_env.scenarios.serialize import scenario_to_json
 
     todo, memory = result.agenda, result.memory
     effort = todo.effort
@@ -64,7 +64,7 @@ def record(result: Result) -> dict[str, Any]:
         "machine": machine() | ({"torch_threads": torch.get_num_threads()} if torch else {}),
         "versions": versions(),
         "scenario": todo.scenario.name,
-        "settings": plain(todo.scenario),
+        "settings": scenario_to_json(todo.scenario),
         "effort": effort._asdict(),
         "missing": todo.missing,
         "cases": [_case(timing) for timing in result.timings],

@@ -23,8 +23,8 @@ import fovconn_env
 from fovconn_env import PRESETS, Recorder, Scenario, baselines
 from fovconn_env.baselines import POLICIES, find_policy
 from fovconn_env.files import Archive, Kind, read_archive, write_archive
+from fovconn_env.scenarios.serialize import scenario_to_json
 from fovconn_env.training.evaluation.flights import Evaluation, fly, join, label
-from fovconn_env.training.evaluation.results import plain
 
 DEV_SEEDS = range(320)  # frozen: development; a held-out set is kept apart
 # as it is, sight hidden, parts that fail, a narrow field of view: each parts other policies
@@ -259,7 +259,8 @@ class Shelf:
 def fingerprint(cell: Cell) -> str:
     """Twelve letters that change with any setting of a cell and with the source code that flies it."""
     kind = find_policy(cell.policy)
-    digest = hashlib.sha256(json.dumps([plain(cell.scenario), plain(kind.equip(cell.scenario))]).encode())
+    scenarios = [scenario_to_json(scenario) for scenario in (cell.scenario, kind.equip(cell.scenario))]
+    digest = hashlib.sha256(json.dumps(scenarios).encode())
     digest.update((_code() + kind.tag()).encode())
     with contextlib.suppress(OSError, TypeError):  # a class typed at a prompt has no file
         digest.update(Path(inspect.getfile(kind)).read_bytes())

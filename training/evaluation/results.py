@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import importlib.util
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from fovconn_env import Map
 from fovconn_env.scenarios.serialize import scenario_to_json
 from fovconn_env.training.evaluation.comparison import Comparison, compare
 from fovconn_env.training.evaluation.flights import Evaluation, label
@@ -66,21 +61,3 @@ def _head(record: Record, settings: Mapping[str, Any]) -> dict[str, str]:
         "versions": f"fovconn_env {record.version}, Python {run['python']}, numpy {run['numpy']}, numba {run['numba']}",
         "flown": run["finished"],
     }
-
-
-def plain(settings: Any) -> Any:
-    """Settings as JSON-ready values; a map of the user's own as its pieces."""
-    if isinstance(settings, Map):
-        pieces, vertices = settings.flatten()
-        return {"pieces": pieces.tolist(), "vertices": vertices.tolist()}
-    if dataclasses.is_dataclass(settings):
-        return {item.name: plain(getattr(settings, item.name)) for item in dataclasses.fields(settings)}
-    if isinstance(settings, np.ndarray):
-        return settings.tolist()
-    if isinstance(settings, tuple):
-        return [plain(item) for item in settings]
-    return _clean(settings.item() if isinstance(settings, np.generic) else settings)
-
-
-def _clean(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -28,8 +28,8 @@ from fovconn_env.errors import rule
 from fovconn_env.files import Archive, Kind, read_archive, write_archive
 from fovconn_env.flights.recording import replay
 from fovconn_env.flights.rollout import Observer, rollout
+from fovconn_env.scenarios.serialize import scenario_to_json
 from fovconn_env.training.evaluation.flights import label
-from fovconn_env.training.evaluation.results import plain
 
 KIND = Kind(
     "fovconn_episodes", "data set", "fovconn train record writes them", "fovconn-episodes-2", old_key="action_units"
@@ -130,7 +130,7 @@ def from_recordings(
     A flight that was broken off counts as cut off by time. Raises `ValueError` for flights of several scenarios, and
     as `fovconn_env.flights.recording.play_back`.
     """
-    scenarios = [plain(recording.scenario) for recording in recordings]
+    scenarios = [scenario_to_json(recording.scenario) for recording in recordings]
     for scenario in scenarios:
         differing = sorted(name for name in scenario if scenario[name] != scenarios[0].get(name))
         hint = "a data set is of one scenario; write one of each"
@@ -148,7 +148,7 @@ def from_recordings(
 
 def _header(policy: str, scenario: Scenario) -> dict[str, Any]:
     header = {"fovconn_env": fovconn_env.__version__, "policy": policy}
-    header |= {"scenario": plain(scenario), "columns": columns()}
+    header |= {"scenario": scenario_to_json(scenario), "columns": columns()}
     header |= {"max_neighbors": scenario.max_neighbors, "max_ranges": scenario.max_ranges}
     return header | {"action_units": full_scale(scenario).tolist()}
 

@@ -35,9 +35,9 @@ from fovconn_env.baselines.learned.networks import ENCODERS
 from fovconn_env.baselines.learned.policy import Encoder, Head, from_file
 from fovconn_env.errors import check_count, rule
 from fovconn_env.files import Archive, Kind, read_archive, write_archive, write_files, write_text
+from fovconn_env.scenarios.serialize import scenario_to_json
 from fovconn_env.training.evaluation import evaluate, summary
 from fovconn_env.training.evaluation.campaign import Interrupted, noted_interruption
-from fovconn_env.training.evaluation.results import plain
 from fovconn_env.training.learn.rows import Rows
 
 CHOICE_SEEDS = range(10_000, 10_064)  # choose the checkpoint; 0-319 are kept for the evaluation
@@ -174,7 +174,7 @@ class Algorithm(ABC):
     def recipe(self) -> dict[str, Any]:
         """What defines the training, beside its length."""
         told = {"algorithm": self.name, "seed": self.seed, "base": self.base}
-        told |= {"scenarios": [plain(s) for s in self.scenarios]}
+        told |= {"scenarios": [scenario_to_json(s) for s in self.scenarios]}
         told |= {"network": dataclasses.asdict(self.network), "settings": dataclasses.asdict(self.settings)}
         return json.loads(json.dumps(told))
 
@@ -346,6 +346,8 @@ def write_policy(
 
 def check_recipe(there: Mapping[str, Any], here: Mapping[str, Any]) -> None:
     """Raise `ValueError` naming the first setting in which a resumed training differs from its checkpoint."""
+    if all("type" not in scenario for scenario in there.get("scenarios", ())):
+        here = {**here, "scenarios": as_in_version_0_1(here["scenarios"])}
     for name in here:
         for key in here[name] if isinstance(here[name], dict) else [None]:
             old, new = (r.get(name) if key is None else r.get(name, {}).get(key) for r in (there, here))
@@ -356,6 +358,18 @@ def check_recipe(there: Mapping[str, Any], here: Mapping[str, Any]) -> None:
             hint = "resume with the same command, or train in another --out"
             if old != new:
                 raise ValueError(f"{what} must be the checkpoint's ({shown[0]!r}), got {shown[1]!r}: {hint}")
+
+
+def as_in_version_0_1(value: Any) -> Any:
+    """Records of scenarios as checkpoints of version 0.1 hold them: without types, null for what is not finite."""
+    if isinstance(value, list):
+        return [as_in_version_0_1(item) for item in value]
+    if not isinstance(value, Mapping):
+        return value
+    if value["type"] == "float":
+        return None
+    gone = {"lag_free": False} if value["type"] == "YawEstimator" else {}
+    return gone | {name: as_in_version_0_1(item) for name, item in value.items() if name != "type"}
 
 
 def check_finite(algorithm: Algorithm, place: Path) -> None:

@@ -17,6 +17,7 @@ from fovconn_env.baselines.learned.cards import BASES
 from fovconn_env.baselines.learned.inputs import ACTION, gain
 from fovconn_env.baselines.learned.policy import corrected
 from fovconn_env.errors import check_count, rule
+from fovconn_env.flights.state_hash import frozen_dtypes
 from fovconn_env.training.sb3 import EPISODE_KEYS, RobotsVecEnv
 
 FIRST_SEED = 50_000  # of training; seeds below choose checkpoints and evaluate
@@ -192,11 +193,14 @@ def pack_simulator(simulator: Simulator) -> dict[str, np.ndarray]:
 
 def unpack_simulator(simulator: Simulator, arrays: Mapping[str, np.ndarray]) -> None:
     """Put a simulator where `pack_simulator` was called; `ValueError` for one of other settings."""
+    if "state/own" in arrays:
+        arrays = {**arrays, **_state_of_version_0_1(arrays)}
     there, here = arrays["state/flat"].shape, simulator.state.flat.shape
     rule(there == here, "worlds of a checkpoint", f"of the shape {here}", there, "made by other settings")
     for name, array in simulator.state._asdict().items():
         if not name.endswith("_row"):
-            array[...] = arrays[f"state/{name}"].astype(array.dtype)
+            for field in array.dtype.names or (...,):
+                array[field] = arrays[f"state/{name}"][field]
     world = simulator.world
     kept = {name: arrays[f"world/{name}"].astype(array.dtype) for name, array in world._asdict().items()}
     simulator.world = world._replace(**kept)
@@ -205,3 +209,12 @@ def unpack_simulator(simulator: Simulator, arrays: Mapping[str, np.ndarray]) -> 
         if text:
             rng.bit_generator.state = json.loads(text)
         simulator.generators[b] = rng if text else None
+
+
+def _state_of_version_0_1(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The state in a checkpoint of version 0.1, its arrays and fields under today's names."""
+    old_names = {"ego": "own", "broadcast": "post", "unicast": "mail"}
+    return {
+        f"state/{name}": arrays[f"state/{old_names.get(name, name)}"].view(dtype)
+        for name, dtype in frozen_dtypes(1).items()
+    }
