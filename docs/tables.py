@@ -51,13 +51,13 @@ SCALES = {
     "age": "radio.memory + radio.delay * clock.tick / clock.rounds",
     "world": "1000",
 }
-FIVE = {  # measures of the README: words, name, digits; shares are in percent
-    "teams never disconnected, %": ("never_disconnected", ".1%"),
-    "flights that reach the goal, connected and without collision, %": ("success", ".1%"),
-    "leader's speed, as a share of what the operator asks for": ("progress", ".2f"),
-    "error of a robot's own lambda2, median, %": ("lambda2_error_median", ".2%"),
-    "bytes that a robot sends in a second": ("bytes_per_second", ",.0f"),
-}
+FIVE = (  # of the README, as in `tables.CARD`
+    ("teams never disconnected", ("never_disconnected",), ".1%"),
+    ("flights that reach the goal, connected and without collision", ("success",), ".1%"),
+    ("leader's speed, as a share of what the operator asks for", ("progress",), ".2f"),
+    ("error of a robot's own lambda2, median", ("lambda2_error_median",), ".2%"),
+    ("bytes that a robot sends in a second", ("bytes_per_second",), ",.0f"),
+)
 _MARKED = re.compile(r"(<!-- (\w+):([\w -]+?) -->\n).*?(<!-- end -->)", re.DOTALL)
 _FIELD = re.compile(r"^    (\w+): (.+?) = (.+?)(?:  # (.*))?$", re.MULTILINE)
 
@@ -138,13 +138,9 @@ def results_table(name: str) -> str:
 
 def five_table(name: str) -> str:
     """The Markdown table of `FIVE` on a scenario."""
-    policies = ("expert", "cohesive", "residual")
-    found = [_record("full")[0].find(policy, name).measures for policy in policies]
-    rows = [
-        [words, *(format(measures[measure].value, form).rstrip("%") for measures in found)]
-        for words, (measure, form) in FIVE.items()
-    ]
-    return markdown((["measure", *(f"`{policy}`" for policy in policies)], rows))
+    record, _ = _record("full")
+    results = {f"`{policy}`": record.find(policy, name) for policy in ("expert", "cohesive", "residual")}
+    return markdown(tables.card(results, FIVE))
 
 
 @functools.cache

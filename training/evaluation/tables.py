@@ -23,7 +23,7 @@ from fovconn_env.training.evaluation.text import (
 ORACLE, FOOTNOTE = "†", "† an oracle: its robots know more than they can"
 KEPT, SUCCESS = "never_disconnected", "success"
 ON_CARD = ("expert", "augmented", "recovery", "oracle")  # policies on the card of a scenario
-CARD = (  # what a row is called, the measures it shows, and how
+CARD = (  # what a row is called, the measures it shows, and how; "share" is in percent, with its 95 % interval
     ("never disconnected, %", (KEPT,), "share"),
     ("success, %", (SUCCESS,), "share"),
     ("collision, %", ("collision",), "share"),
@@ -109,10 +109,10 @@ def overall_table(record: Record) -> Table:
     return _table(record.overall, columns, always=3)
 
 
-def card(results: Mapping[str, Result]) -> Table:
-    """Measure by measure, a column for each result under its name; shares with their 95 % intervals."""
-    rows = [[title, *(_cell(result, names, form) for result in results.values())] for title, names, form in CARD]
-    return ["measure", *results], rows
+def card(results: Mapping[str, Result], rows: Sequence[tuple[str, Sequence[str], str]] = CARD) -> Table:
+    """Measure by measure, a column for each result under its name; rows as in `CARD`."""
+    lines = [[title, *(_cell(result, names, form) for result in results.values())] for title, names, form in rows]
+    return ["measure", *results], lines
 
 
 def _cell(result: Result, names: Sequence[str], form: str) -> str:

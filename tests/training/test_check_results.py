@@ -1,0 +1,78 @@
+"""The check of docs/results: its claims on made-up records, and what it says of those that do not hold."""
+
+import math
+
+import pytest
+
+from fovconn_env.training.evaluation import __main__ as command
+from fovconn_env.training.evaluation import check_results, levels
+from fovconn_env.training.evaluation.check_results import _bars_of_laws, _bars_of_levels, check, complete
+from fovconn_env.training.evaluation.record import Record, Result, to_json, write_json
+from fovconn_env.training.evaluation.statistics import Estimate
+
+
+def result(policy, kept, *, settings=None, count=128, difference=0.0, progress=0.5, collision=0.0):
+    """A result, and the difference of what it kept to the expert with an interval of 0.5 points."""
+    values = {"never_disconnected": kept, "progress": progress, "collision": collision}
+    against = {"expert": {"never_disconnected": Estimate(difference, difference - 0.005, difference + 0.005)}}
+    measures = {name: Estimate(value, math.nan, math.nan) for name, value in values.items()}
+    return Result(policy, "LossyRadio-v0", settings or {}, count, measures, against)
+
+
+def laws(**changes):
+    """A record in which every bar of the laws holds, but for changes of `augmented`."""
+    results = [result("expert", 0.99), result("expert-flooding", 0.996), result("omni", 0.3, difference=-0.7)]
+    return Record("eval", [0], {}, [*results, result("augmented", 0.99, **({"progress": 0.95} | changes))])
+
+
+def failed(claims):
+    return [claim for claim, holds in claims if not holds]
+
+
+@pytest.mark.parametrize(
+    "changes, claims",
+    [
+        ({}, []),
+        ({"progress": 0.85}, ["augmented is 1.8 times as fast"]),
+        ({"difference": -0.01}, ["augmented keeps as many as the expert"] * 2),
+        ({"collision": 0.01}, ["augmented does not collide"] * 2),
+    ],
+)
+def test_bars_of_laws(changes, claims):
+    assert failed(_bars_of_laws(laws(**changes), laws(**changes))) == claims
+
+
+@pytest.mark.parametrize("kept, count, holds", [(0.4, 128, True), (0.6, 128, False), (0.4, 64, False)])
+def test_bars_of_levels(kept, count, holds):
+    """Of levels that all seeds fly."""
+    level = {"settings": {"level": 2}, "count": count}
+    record = Record("levels", [0], {}, [result("expert", kept, **level), result("oracle", 0.95, **level)])
+    assert [each for _, each in _bars_of_levels(record)] == [holds]
+
+
+def test_what_is_missing_is_told():
+    records = {
+        name: Record("eval", [0], {}, []) for name in ("full", "thousand", "fast", "levels", "learned", "ablations")
+    }
+    tasks = [Result(task.policy, task.scenario, dict(task.settings), task.count, {}) for task in levels.study().tasks]
+    records["levels"] = Record("levels", [0], {}, tasks)
+    missing = failed(complete(records))
+    assert "full has all policies on all scenarios" in missing
+    assert "learned has all tasks of its study" in missing
+    assert "levels has all tasks of its study" not in missing
+    records["levels"].results.pop()
+    assert "levels has all tasks of its study" in failed(complete(records))
+
+
+def test_the_exit_status(monkeypatch, tmp_path, capsys):
+    (tmp_path / "docs" / "results").mkdir(parents=True)
+    write_json(tmp_path / "docs" / "results" / "full.json", to_json(laws()))
+    monkeypatch.setattr(check_results, "ROOT", tmp_path)
+    monkeypatch.setattr(check_results, "complete", lambda records: [(f"{', '.join(records)} is there", True)])
+    monkeypatch.setattr(check_results, "bars", lambda records: [])
+    assert check() == command.main(["check"]) == 0
+    monkeypatch.setattr(check_results, "bars", lambda records: [("pigs fly", False)])
+    assert command.main(["check"]) == 1
+    assert "does not hold: pigs fly\n1 of 2 claims" in capsys.readouterr().out
+    assert command.main(["levels", "lerned"]) == command.main([]) == 2
+    assert "give some of levels, learned, check; got lerned" in capsys.readouterr().err
