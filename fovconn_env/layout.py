@@ -145,6 +145,8 @@ INFO = (
     *(Column(f"reward_{name}", "-", "-", "-inf", "inf", f"reward term: {name}") for name in REWARDS),
 )
 LOST_LINK = ("none", "range", "own field of view", "its field of view", "occlusion", "fault")
+# the same of a pair, where it does not matter whose camera turned away
+LOST_PAIR = tuple(dict.fromkeys(cause.removeprefix("own ").removeprefix("its ") for cause in LOST_LINK))
 
 
 def record(table: tuple[Column, ...], number: str) -> np.dtype:

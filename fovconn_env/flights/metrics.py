@@ -12,6 +12,7 @@ from fovconn_env.kernel.maths.weights import range_weight
 from fovconn_env.kernel.onboard.power_iteration import FLOODING
 from fovconn_env.kernel.world.faults import count_living
 from fovconn_env.kernel.world.outcome import FAULT, OCCLUSION, OWN_VIEW, RANGE, lost_link
+from fovconn_env.layout import LOST_LINK, LOST_PAIR
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.simulator import Simulator
 
@@ -21,16 +22,15 @@ MOVING = 0.05  # m/s, a robot that is faster moves
 ERRORS = ("lambda2", "yaw_mutual", "yaw_one_way")  # what the histograms count
 BINS_PER_DECADE, DECADES, LOWEST = 20, 8, 1e-6
 N_BINS = BINS_PER_DECADE * DECADES + 2  # the first: below LOWEST, the last: from 100 on
-SPLIT_CAUSE = ("none", "range", "field of view", "occlusion", "fault")
-
-CAUSES = ("range", "view", "occlusion", "fault")  # of a lost link
-BY_OCCLUSION, BY_FAULT = 3, 4  # SPLIT_CAUSE; the others are the judge's
+LOST_BY = tuple(f"lost_by_{cause.split()[-1]}" for cause in LOST_PAIR[1:])  # counts of lost links
+# by the code of a robot's lost link, that of its pair's
+_OF_PAIR = tuple(next(k for k, cause in enumerate(LOST_PAIR) if name.endswith(cause)) for name in LOST_LINK)
 _METER = np.dtype(
     (
         np.record,
         [
             ("open", "i8"),  # the episode was not over before the step
-            *((f"lost_by_{cause}", "i8") for cause in CAUSES),
+            *((name, "i8") for name in LOST_BY),
             *(
                 (name, "i8")
                 for name in "steps living living_pairs connected mutual one_way saturated split_cause".split()
@@ -92,8 +92,8 @@ class Meter(Observer):
             "split_cause": sums["split_cause"].astype(float),
             "split_lambda2_hat": sums["split_hat"],
             "split_alignment": sums["split_alignment"],
-            "links_lost_per_minute": sum(sums[f"lost_by_{cause}"] for cause in CAUSES) / duration * 60,
-            **{f"lost_by_{cause}": sums[f"lost_by_{cause}"].astype(float) for cause in CAUSES},
+            "links_lost_per_minute": sum(sums[name] for name in LOST_BY) / duration * 60,
+            **{name: sums[name].astype(float) for name in LOST_BY},
             "mutual_share": _ratio(sums["mutual"] / steps, pairs),
             "one_way_share": _ratio(sums["one_way"] / steps, pairs),
             "least_separation": sums["least_separation"],
@@ -196,7 +196,7 @@ def _count_motion(bodies, rewards, infos, s, now, p):
 
 @kernel
 def _count_links(pairs, before, s, p):
-    """Count lost links and kinds of sight; returns why the strongest lost one was lost, see SPLIT_CAUSE."""
+    """Count lost links and kinds of sight; returns why the strongest lost one was lost, see LOST_PAIR."""
     n, strongest, cause = pairs.shape[0], 0.0, 0
     for i in range(n):
         for j in range(i + 1, n):
@@ -209,9 +209,7 @@ def _count_links(pairs, before, s, p):
                 s.lost_by_occlusion += why == OCCLUSION
                 s.lost_by_fault += why == FAULT
                 if weight > strongest:
-                    strongest, cause = weight, why
-                    if why >= OCCLUSION:
-                        cause = BY_OCCLUSION if why == OCCLUSION else BY_FAULT
+                    strongest, cause = weight, _OF_PAIR[why]
             before[i, j] = ij.weight
             s.mutual += ij.seen and ji.seen
             s.one_way += ij.seen != ji.seen
@@ -220,13 +218,14 @@ def _count_links(pairs, before, s, p):
 
 @kernel
 def _weakness(pairs, v2, p):
-    """What makes the strongest link between the two sides of v2 weak: the distance or the field of view."""
+    """What makes the strongest link between the two sides of v2 weak, distance or field of view, see LOST_PAIR."""
     n, strongest, cause = pairs.shape[0], -1.0, 0
     for i in range(n):
         for j in range(i + 1, n):
             if (v2[i] > 0.0) != (v2[j] > 0.0) and pairs[i, j].weight > strongest:
                 strongest, gamma = pairs[i, j].weight, range_weight(pairs[i, j].distance, p)
-                cause = RANGE if gamma * gamma <= strongest else OWN_VIEW  # the weight is gamma times the view's
+                # the weight is gamma times the view's
+                cause = _OF_PAIR[RANGE if gamma * gamma <= strongest else OWN_VIEW]
     return cause
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from fovconn_env import Camera, Clock, Course, Fault, Map, Radio, Simulator, layout, parallel_env, scenario
 from fovconn_env.baselines import POLICIES, find_policy
-from fovconn_env.flights.metrics import SPLIT_CAUSE, Meter
+from fovconn_env.flights.metrics import Meter
 from fovconn_env.scenarios.presets import PRESETS
 from fovconn_env.sim.starts import draw_faults
 from tests import reference as ref
@@ -318,7 +318,7 @@ def test_a_link_lost_to_a_fault_is_called_so():
     results = meter.results()
     assert results["lost_by_fault"][0] == 1
     assert results["lost_by_view"][0] == 0
-    assert SPLIT_CAUSE[int(results["split_cause"][0])] == "fault"
+    assert layout.LOST_PAIR[int(results["split_cause"][0])] == "fault"
 
 
 def test_measures_are_of_the_living():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fovconn_env import layout
+from fovconn_env.flights import metrics
 from fovconn_env.kernel import records, step
 from fovconn_env.kernel.maths import weights
 from fovconn_env.kernel.onboard import power_iteration, relative_yaw
@@ -71,6 +72,14 @@ def test_names_of_lost_links_are_numbered_as_the_judge_counts():
     assert names["its field of view"] == outcome.ITS_VIEW
     assert names["occlusion"] == outcome.OCCLUSION
     assert names["fault"] == outcome.FAULT
+    assert layout.LOST_PAIR == (
+        "none",
+        "range",
+        "field of view",
+        "occlusion",
+        "fault",
+    )
+    assert metrics.LOST_BY == ("lost_by_range", "lost_by_view", "lost_by_occlusion", "lost_by_fault")
 
 
 GROUPS = {

@@ -17,15 +17,15 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, NullLocator, PercentFormatter
 
-from fovconn_env.flights.metrics import CAUSES as LOST_BY
-from fovconn_env.flights.metrics import ERRORS, SPLIT_CAUSE, bin_edges
+from fovconn_env.flights.metrics import ERRORS, LOST_BY, bin_edges
+from fovconn_env.layout import LOST_PAIR
 from fovconn_env.render.figures.style import DARK, FAINT, FOLLOWERS, LEADER, RC, save, sheet
 from fovconn_env.training.evaluation.comparison import EXPERT, MERIT, Compared, Comparison
 from fovconn_env.training.evaluation.statistics import survival
 
 WIDTH = 7.5  # inches, 1200 pixels
 ROW = 0.27  # inches of a policy in bar charts and forests
-CAUSES = {"range": "#0072B2", "field of view": "#E69F00", "occlusion": "#CC79A7", "fault": "#555555"}
+CAUSES = dict(zip(LOST_PAIR[1:], ("#0072B2", "#E69F00", "#CC79A7", "#555555"), strict=True))
 MEASURES = {
     "score": "score: 0 random's mean, 1 the expert's",
     "sct": "success weighted by completion time",
@@ -150,12 +150,12 @@ def draw_causes(compared: Mapping[str, Compared], names: Mapping[str, str], styl
     """Lost links a minute and splits of the team, by cause."""
     figure = sheet(WIDTH, 1.35 + ROW * len(compared))
     left, right = figure.subplots(1, 2, sharey=True)
-    lost, splits = np.zeros((len(compared), len(LOST_BY))), np.zeros((len(compared), len(SPLIT_CAUSE) - 1))
+    lost, splits = np.zeros((len(compared), len(LOST_BY))), np.zeros((len(compared), len(LOST_BY)))
     for row, each in enumerate(compared.values()):
         episodes = each.evaluation.episodes
         minutes = episodes["duration"].sum() / 60
-        lost[row] = [episodes[f"lost_by_{cause}"].sum() / minutes for cause in LOST_BY]
-        splits[row] = [np.sum(episodes["split_cause"] == k) for k in range(1, len(SPLIT_CAUSE))]
+        lost[row] = [episodes[name].sum() / minutes for name in LOST_BY]
+        splits[row] = [np.sum(episodes["split_cause"] == k) for k in range(1, len(LOST_PAIR))]
     _bars(left, lost)
     _bars(right, splits)
     left.set(title="Links lost", xlabel="per minute of flight")

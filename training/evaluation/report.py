@@ -13,7 +13,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from fovconn_env.files import write_text
-from fovconn_env.flights.metrics import SPLIT_CAUSE
+from fovconn_env.layout import LOST_PAIR
 from fovconn_env.training.evaluation.comparison import EXPERT, Comparison
 from fovconn_env.training.evaluation.pictures import Picture, draw
 from fovconn_env.training.evaluation.record import Record
@@ -131,7 +131,7 @@ def lost_table(comparison: Comparison, record: Record, scenario: str) -> tuple[T
                 marked(record, policy),
                 str(evaluation.seeds[k]),
                 number(episodes["first_disconnection"][k], ".2f"),
-                SPLIT_CAUSE[int(episodes["split_cause"][k])],
+                LOST_PAIR[int(episodes["split_cause"][k])],
                 figures(episodes["split_lambda2_hat"][k]),
                 number(episodes["split_alignment"][k], ".3f"),
             ]

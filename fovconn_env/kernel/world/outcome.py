@@ -9,8 +9,11 @@ from fovconn_env.kernel.maths.spectrum import fiedler
 from fovconn_env.kernel.maths.weights import range_weight, sight_weight
 from fovconn_env.kernel.world.faults import count_living
 from fovconn_env.kernel.world.operator import NOBODY
+from fovconn_env.layout import LOST_LINK
 
-RANGE, OWN_VIEW, ITS_VIEW, OCCLUSION, FAULT = range(1, 6)  # layout.LOST_LINK
+RANGE = LOST_LINK.index("range")
+OWN_VIEW, ITS_VIEW = LOST_LINK.index("own field of view"), LOST_LINK.index("its field of view")
+OCCLUSION, FAULT = LOST_LINK.index("occlusion"), LOST_LINK.index("fault")
 
 
 @kernel
