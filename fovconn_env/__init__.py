@@ -13,7 +13,8 @@ import pettingzoo
 
 from fovconn_env.envs.parallel import ParallelEnv, env, parallel_env, raw_env
 from fovconn_env.flights.flight import Flight
-from fovconn_env.flights.recording import Recorder, Recording
+from fovconn_env.flights.recorder import Recorder
+from fovconn_env.flights.recording import Recording
 from fovconn_env.maps.corridor import Corridor
 from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map

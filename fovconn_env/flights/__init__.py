@@ -2,7 +2,8 @@
 
 from fovconn_env.flights.flight import Film, Flight, fly, from_recording
 from fovconn_env.flights.metrics import Meter
-from fovconn_env.flights.recording import Recorder, Recording, load, replay
+from fovconn_env.flights.recorder import Recorder
+from fovconn_env.flights.recording import Recording, load, replay
 
 __all__ = [
     "Film",

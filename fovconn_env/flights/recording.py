@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import platform
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -11,7 +10,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from fovconn_env.errors import rule
 from fovconn_env.files import RECORDING, Archive, Damaged, read_archive, write_archive
@@ -107,96 +105,6 @@ def load(path: str | Path) -> Recording:
     if not fits or found.hashes[0][0] != 0 or found.hashes[-1][0] != len(found.actions):
         raise Damaged(f"{path} is damaged: its sticks, actions and hashes are not of the same flight")
     return found
-
-
-class Recorder(Observer):
-    """Keeps what the flight of one world is made of.
-
-    It observes a rollout; or, made with a simulator, resets and steps that in its place. Pushes and changes of leader
-    go to the simulator itself; each step takes note of them.
-    """
-
-    def __init__(self, simulator: Simulator | None = None, policies: Sequence[str] = (), *, world: int = 0) -> None:
-        """policies: what flies each robot, in free words; one for all robots or one each. world: which of a batch."""
-        self.policies, self.world = tuple(policies), world
-        self._origin: dict[str, Any] | None = None  # scenario, seed and poses of the episode under way
-        if simulator is not None:
-            self._attach(simulator)
-
-    def reset(self, seed: int, *, poses: npt.ArrayLike | None = None) -> np.ndarray:
-        """Start episodes and their recording; as `Simulator.reset`."""
-        given = None if poses is None else np.array(poses, np.float64)
-        observations = self.simulator.reset(seed, poses=given)
-        self.begin(self.simulator, given)
-        return observations
-
-    def step(self, actions: npt.ArrayLike) -> np.ndarray:
-        """Step by actions (B, N, 4) and keep them; as `Simulator.step`. After the end nothing is added."""
-        given = np.asarray(actions)
-        self.before_step(given)
-        observations = self.simulator.step(given)  # refuses what is no action before anything is kept
-        self.update()
-        return observations
-
-    def begin(self, simulator: Simulator, poses: np.ndarray | None = None) -> None:
-        """The worlds have been reset, to these poses (N, 4) if some were given. `ValueError` if without a seed."""
-        self._attach(simulator)
-        seed = simulator.seeds[self.world]
-        rule(seed is not None, "seed", "given to a flight that is recorded", seed, "it is drawn again from its seed")
-        changes = {"max_cycles": simulator.max_cycles, "leader": simulator.leader}  # which may be set at run time
-        scenario = dataclasses.replace(simulator.scenario, **changes)
-        self._origin = {"scenario": scenario, "starts": simulator.starts, "seed": seed, "poses": poses}
-        self._sticks: list[tuple[float, ...]] = []
-        self._actions: list[np.ndarray] = []
-        self._events: list[Event] = []
-        self._led = self._leader()
-        self._hashes, self._last = [], (0, state_hash(simulator, self.world))
-
-    def before_step(self, actions: np.ndarray) -> None:
-        """Look at the stick; it is kept once the step is made."""
-        episode = self.simulator.state.episode[self.world]
-        self._stick = tuple(float(episode[name]) for name in ("stick_x", "stick_y", "stick_z"))
-        self._action, self._going = actions, not episode["over"]
-
-    def update(self) -> None:
-        """Keep the step just made."""
-        if self._origin is None or not self._going:
-            return
-        if self._led != self._leader():
-            self._led = self._leader()
-            self._events.append(Event(len(self._actions), *self._led))
-        self._sticks.append(self._stick)
-        self._actions.append(np.array(self._action[self.world], np.float64))
-        if self._last[0] % EVERY == 0:
-            self._hashes.append(self._last)
-        # now: a push after it may never be flown
-        self._last = len(self._actions), state_hash(self.simulator, self.world)
-
-    def recording(self) -> Recording:
-        """The episode so far. Raises `ValueError` before a reset."""
-        if self._origin is None:
-            raise ValueError("recording() needs an episode: call reset(seed) first")
-        return Recording(
-            **self._origin,
-            sticks=np.array(self._sticks, np.float64).reshape(-1, 3),
-            actions=np.array(self._actions, np.float64).reshape(-1, self.simulator.scenario.n_agents, 4),
-            events=tuple(self._events),
-            policies=self.policies,
-            versions=versions(),
-            outcome=outcome(self.simulator, self.world),
-            hashes=(*self._hashes, self._last),
-        )
-
-    def _attach(self, simulator: Simulator) -> None:
-        n, count = simulator.scenario.n_agents, len(self.policies)
-        rule(count in (0, 1, n), "policies", f"one for all or {n}", list(self.policies), "one a robot")
-        inside = 0 <= self.world < simulator.n_worlds
-        rule(inside, "world", f"in 0..{simulator.n_worlds - 1}", self.world, "worlds are counted from 0")
-        self.simulator, self.policies = simulator, self.policies * (n if count == 1 else 1)
-
-    def _leader(self) -> tuple[int, str]:
-        kind = self.simulator.leader
-        return int(self.simulator.state.episode["leader"][self.world]), kind if isinstance(kind, str) else "recorded"
 
 
 def play_back(recording: Recording, *, force: bool = False, observers: Sequence[Observer] = ()) -> Iterator[Simulator]:

@@ -13,6 +13,7 @@ import hashlib
 import numpy as np
 
 from fovconn_env.errors import rule
+from fovconn_env.kernel.records import State
 from fovconn_env.sim.simulator import Simulator
 
 FORMATS = (1, 2)
@@ -52,11 +53,16 @@ _TYPES = ("f8", "f4", "i8", "u8", "b1")
 
 
 def state_hash(simulator: Simulator, world: int = 0, *, format: int = NEWEST) -> str:
-    """Hash of a world's state; format: one of FORMATS, other ones are a `SettingError`."""
+    """Hash of a world's state now; format: one of FORMATS, other ones are a `SettingError`."""
+    return hash_state(simulator.state, world, format=format)
+
+
+def hash_state(state: State, world: int, *, format: int = NEWEST) -> str:
+    """As `state_hash`, of a state that is no simulator's."""
     rule(format in FORMATS, "format", f"one of {', '.join(map(str, FORMATS))}", format, "is it of a newer fovconn_env?")
     digest = hashlib.sha256()
     for name, dtype in frozen_dtypes(format).items():
-        array = getattr(simulator.state, name)[world : world + 1]
+        array = getattr(state, name)[world : world + 1]
         if dtype.names is None:
             digest.update(np.ascontiguousarray(array, dtype).data)
             continue

@@ -191,6 +191,7 @@ def test_an_unfinished_flight_ends_with_its_last_step():
     recorder = record("human", n_steps=10)
     recorder.simulator.push([0.9, 0.0, 0.0])
     recorder.simulator.lead(3)
+    recorder.simulator.leader = "waypoints"
     flown = recorder.recording()
     assert flown.outcome == "unfinished"
     replay(flown)

@@ -12,7 +12,7 @@ import numpy as np
 from fovconn_env import PRESETS, Scenario, Simulator, scenario
 from fovconn_env.baselines import POLICIES, find_policy
 from fovconn_env.flights.metrics import Meter
-from fovconn_env.flights.recording import Recorder
+from fovconn_env.flights.recorder import Recorder
 from fovconn_env.flights.rollout import decide, steps
 from fovconn_env.training.play.handover import Handover
 from fovconn_env.training.play.score import Score, score_of
