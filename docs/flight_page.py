@@ -16,8 +16,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # runs from a clone without 
 from PIL import Image
 
 from fovconn_env import scenario
-from fovconn_env.baselines import find_policy, load_policy
-from fovconn_env.flights.flight import fly
+from fovconn_env.baselines import find_policy
+from fovconn_env.flights import Film
+from fovconn_env.flights.rollout import rollout
 from fovconn_env.render.page.web_page import write_page
 from tests.chromium import Browser
 
@@ -25,10 +26,11 @@ PICTURE = Path(__file__).parent / "images" / "flight_page.png"
 AT = 40.0  # s
 
 if __name__ == "__main__":
-    equipped = find_policy("expert").equip(scenario("LeaderObstacles-v0"))
-    flight = fly(equipped, load_policy("expert", equipped).act, 3)
+    film = Film()
+    for _ in rollout(find_policy("expert"), scenario("LeaderObstacles-v0"), [3], observers=[film]):
+        pass
     with tempfile.TemporaryDirectory() as folder:
-        page = write_page(flight, Path(folder) / "flight.html")
+        page = write_page(film.flight(), Path(folder) / "flight.html")
         browser = Browser(Path(folder) / "chromium")
         try:
             browser.open(page, f"#t={AT:g}")
