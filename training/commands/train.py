@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+import importlib
+import inspect
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
@@ -56,140 +58,107 @@ Start = Annotated[
 Filtered = Annotated[bool, typer.Option("--safe", help="Train with the safety filter on what is flown.")]
 
 
-@app.command("dagger")
-def dagger_command(
-    scenarios: Scenarios = None,
-    settings: Changes = None,
-    steps: Steps = None,
-    minutes: Minutes = None,
-    seed: Seed = 0,
-    folder: Out = None,
-    resume: Resume = False,
-    network: Kind = "set",
-    tune: Tune = None,
-    threads: Threads = None,
-    scores: Scores = 10,
-) -> None:
-    """Imitate the expert (or `--tune expert=augmented`) on the states the learner itself gets into.
+Data = Annotated[list[Path], typer.Option("--data", help="File of `fovconn train record`; repeatable.")]
+Base = Annotated[str, typer.Option("--base", help=f"Law to correct: {', '.join(BASES)}.")]
 
-    fovconn train dagger --steps 20000000 --out out/dagger
-    """
-    from fovconn_env.training.learn.dagger import Dagger, DaggerSettings
+REQUIRED = inspect.Parameter.empty
+COMMON = {
+    "scenarios": (Scenarios, None),
+    "settings": (Changes, None),
+    "steps": (Steps, None),
+    "minutes": (Minutes, None),
+    "seed": (Seed, 0),
+    "folder": (Out, None),
+    "resume": (Resume, False),
+    "network": (Kind, "set"),
+    "tune": (Tune, None),
+    "threads": (Threads, None),
+    "scores": (Scores, 10),
+}  # name: (option, default)
 
-    def make(flown: list[Scenario], hyper: Any, net: Any):
-        return Dagger(flown, seed, hyper, net, n_threads=threads)
 
-    _train(
+class Trainer(NamedTuple):
+    """An algorithm on the command line."""
+
+    module: str  # in `training.learn`, imported when it runs
+    algorithm: str  # its class
+    settings: str  # the class of its hyper-parameters
+    help: str
+    options: Mapping[str, tuple[Any, Any]]  # beside COMMON
+    arguments: Callable[[Mapping[str, Any]], dict[str, Any]]  # of the class, from the options
+
+
+TRAINERS = {
+    "dagger": Trainer(
         "dagger",
-        make,
-        DaggerSettings,
-        (scenarios, settings, network, tune),
-        (steps, minutes, folder, resume, threads, scores),
-    )
+        "Dagger",
+        "DaggerSettings",
+        """Imitate the expert (or `--tune expert=augmented`) on the states the learner itself gets into.
 
+        fovconn train dagger --steps 20000000 --out out/dagger
+        """,
+        {},
+        lambda given: {"n_threads": given["threads"]},
+    ),
+    "bc": Trainer(
+        "bc",
+        "BC",
+        "BCSettings",
+        """Clone the behaviour in recorded flights; --scenario is what checkpoints are scored on.
 
-@app.command("bc")
-def bc_command(
-    data: Annotated[list[Path], typer.Option("--data", help="File of `fovconn train record`; repeatable.")],
-    scenarios: Scenarios = None,
-    settings: Changes = None,
-    steps: Steps = None,
-    minutes: Minutes = None,
-    seed: Seed = 0,
-    folder: Out = None,
-    resume: Resume = False,
-    network: Kind = "set",
-    tune: Tune = None,
-    threads: Threads = None,
-    scores: Scores = 10,
-) -> None:
-    """Clone the behaviour in recorded flights; --scenario is what checkpoints are scored on.
-
-    fovconn train record --policy expert --seeds 50000-50063 --out out/expert.npz
-    fovconn train bc --data out/expert.npz --steps 10000000 --out out/bc
-    """
-    from fovconn_env.training.learn.bc import BC, BCSettings
-    from fovconn_env.training.learn.datasets import load
-
-    episodes = [load(file) for file in data]
-
-    def make(flown: list[Scenario], hyper: Any, net: Any):
-        return BC(flown, seed, hyper, net, data=episodes)
-
-    _train(
-        "bc", make, BCSettings, (scenarios, settings, network, tune), (steps, minutes, folder, resume, threads, scores)
-    )
-
-
-@app.command("ppo")
-def ppo_command(
-    scenarios: Scenarios = None,
-    settings: Changes = None,
-    steps: Steps = None,
-    minutes: Minutes = None,
-    seed: Seed = 0,
-    folder: Out = None,
-    resume: Resume = False,
-    network: Kind = "set",
-    start: Start = None,
-    filtered: Filtered = False,
-    tune: Tune = None,
-    threads: Threads = None,
-    scores: Scores = 10,
-) -> None:
-    """PPO, one policy for all robots: from scratch, or from a policy that can fly, held near it at first.
-
-    fovconn train ppo --start out/dagger/dagger.safetensors --steps 20000000 --out out/ppo
-    """
-    from fovconn_env.training.learn.ppo import PPOSettings, Team
-
-    first = _start(start)
-
-    def make(flown: list[Scenario], hyper: Any, net: Any):
-        return Team(flown, seed, hyper, net, start=first, filtered=filtered, n_threads=threads)
-
-    _train(
+        fovconn train record --policy expert --seeds 50000-50063 --out out/expert.npz
+        fovconn train bc --data out/expert.npz --steps 10000000 --out out/bc
+        """,
+        {"data": (Data, REQUIRED)},
+        lambda given: {"data": _episodes(given["data"])},
+    ),
+    "ppo": Trainer(
         "ppo",
-        make,
-        PPOSettings,
-        (scenarios, settings, network, tune),
-        (steps, minutes, folder, resume, threads, scores),
-    )
+        "Team",
+        "PPOSettings",
+        """PPO, one policy for all robots: from scratch, or from a policy that can fly, held near it at first.
 
-
-@app.command("residual")
-def residual_command(
-    scenarios: Scenarios = None,
-    settings: Changes = None,
-    steps: Steps = None,
-    minutes: Minutes = None,
-    seed: Seed = 0,
-    folder: Out = None,
-    resume: Resume = False,
-    network: Kind = "set",
-    base: Annotated[str, typer.Option(help=f"Law to correct: {', '.join(BASES)}.")] = "cohesive",
-    filtered: Filtered = False,
-    tune: Tune = None,
-    threads: Threads = None,
-    scores: Scores = 10,
-) -> None:
-    """PPO learns a bounded correction of a law's action; the first policy is the law itself.
-
-    fovconn train residual --steps 4000000 --out out/residual
-    """
-    from fovconn_env.training.learn.residual import Residual, ResidualSettings
-
-    def make(flown: list[Scenario], hyper: Any, net: Any):
-        return Residual(flown, seed, hyper, net, filtered=filtered, n_threads=threads)
-
-    words = [f"base={base}", *(tune or [])]
-    _train(
+        fovconn train ppo --start out/dagger/dagger.safetensors --steps 20000000 --out out/ppo
+        """,
+        {"start": (Start, None), "filtered": (Filtered, False)},
+        lambda given: {
+            "start": _start(given["start"]),
+            "filtered": given["filtered"],
+            "n_threads": given["threads"],
+        },
+    ),
+    "residual": Trainer(
         "residual",
-        make,
-        ResidualSettings,
-        (scenarios, settings, network, words),
-        (steps, minutes, folder, resume, threads, scores),
-    )
+        "Residual",
+        "ResidualSettings",
+        """PPO learns a bounded correction of a law's action; the first policy is the law itself.
+
+        fovconn train residual --steps 4000000 --out out/residual
+        """,
+        {"base": (Base, "cohesive"), "filtered": (Filtered, False)},
+        lambda given: {"filtered": given["filtered"], "n_threads": given["threads"]},
+    ),
+}
+
+
+def _command(name: str) -> Callable[..., None]:
+    """The command of an algorithm: a function with its options, which typer reads from the signature."""
+
+    def command(**given: Any) -> None:
+        _train(name, given)
+
+    options = {**COMMON, **TRAINERS[name].options}
+    signature = [
+        inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=option)
+        for key, (option, default) in options.items()
+    ]
+    command.__signature__ = inspect.Signature(signature)  # pyright: ignore[reportFunctionMemberAccess]
+    command.__annotations__ = {key: option for key, (option, _) in options.items()}
+    return command
+
+
+for _name, _trainer in TRAINERS.items():
+    app.command(_name, help=inspect.cleandoc(_trainer.help))(_command(_name))
 
 
 @app.command("record")
@@ -240,44 +209,47 @@ def record_command(
 
 
 # ------------------------------------------------------------------------------------------------------------ common
-def _train(
-    name: str,
-    make: Callable[[list[Scenario], Any, Any], Any],
-    kind: type,
-    what: tuple[list[str] | None, list[str] | None, str, list[str] | None],
-    how: tuple[int | None, float | None, Path | None, bool, int | None, int],
-) -> None:
-    """Make the algorithm from the words of the command line and train it under a progress bar."""
+def _train(name: str, given: Mapping[str, Any]) -> None:
+    """Make an algorithm from the options of the command line and train it under a progress bar."""
     import torch
 
     from fovconn_env.training.learn.learning import Budget, Network, train
 
-    names, changes, network, tune = what
-    steps, minutes, folder, resume, threads, scores = how
-    if "help" in (tune or ()):
+    trainer, tune = TRAINERS[name], list(given["tune"] or ())
+    module = importlib.import_module(f"fovconn_env.training.learn.{trainer.module}")
+    kind = getattr(module, trainer.settings)
+    if "help" in tune:
         for field in [*dataclasses.fields(kind), *dataclasses.fields(Network)]:
             out.print(f"{field.name}={field.default}", highlight=False)
         return
-    budget, flown = Budget(steps=steps, minutes=minutes), _scenarios(names or ["LeaderFollow-v0"], changes)
-    hyper, net = tuned(kind, Network, tune or [], network)
-    if threads:
-        torch.set_num_threads(threads)
-    target = folder or OUT / name
+    arguments = trainer.arguments(given)
+    budget = Budget(steps=given["steps"], minutes=given["minutes"])
+    flown = _scenarios(given["scenarios"] or ["LeaderFollow-v0"], given["settings"])
+    words = [f"base={given['base']}", *tune] if "base" in given else tune
+    hyper, network = tuned(kind, Network, words, given["network"])
+    if given["threads"]:
+        torch.set_num_threads(given["threads"])
+    target = given["folder"] or OUT / name
     check_folder(target)
     with progress() as bar:
         task = bar.add_task("loading (compiles once, ~20 s)", total=1.0)
-        algorithm = make(flown, hyper, net)
         best = train(
-            algorithm,
+            getattr(module, trainer.algorithm)(flown, given["seed"], hyper, network, **arguments),
             budget,
             target,
-            resume=resume,
-            scores=scores,
+            resume=given["resume"],
+            scores=given["scores"],
             progress=lambda share, text: bar.update(task, completed=share, description=text or name),
         )
     shown = ", ".join(f"{key} {value:.3g}" for key, value in best.items() if key not in ("worth", "steps"))
     line = f"wrote {target}/{name}.safetensors, of step {best.get('steps', 0)}: {shown}"
     out.print(line, highlight=False, soft_wrap=True)
+
+
+def _episodes(files: Sequence[Path]) -> list[Any]:
+    from fovconn_env.training.learn.datasets import load
+
+    return [load(file) for file in files]
 
 
 def tuned(kind: type, network: type, words: list[str], network_kind: str) -> tuple[Any, Any]:
