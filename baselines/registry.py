@@ -40,6 +40,8 @@ POLICIES: dict[str, type[Policy]] = {
     **{file.stem: from_file(file) for file in sorted(FOLDER.glob(f"*{SUFFIX}"))},  # read when first made
 }
 
+_modules: dict[Path, tuple[tuple[int, int], ModuleType]] = {}  # of files of policies: (time, size) when read, module
+
 
 def load_policy(name: str, env: Any) -> Policy:
     """The policy `name` (see `find_policy`) for an environment, a `Simulator` or a `Scenario`."""
@@ -90,12 +92,22 @@ def _module(place: str, name: str) -> ModuleType:
     try:
         if not place.endswith(".py"):
             return importlib.import_module(place)
-        known = f"fovconn_policy_{file.resolve().as_posix().replace('/', '_')}"
-        spec = importlib.util.spec_from_file_location(known, file)
-        assert spec is not None
-        assert spec.loader is not None
-        module = sys.modules[known] = importlib.util.module_from_spec(spec)  # known, so that its objects can be pickled
-        spec.loader.exec_module(module)
-        return module
+        return _load(file.resolve())
     except Exception as problem:
         raise ValueError(f"policy {name!r} must load, got {type(problem).__name__}: {problem}") from problem
+
+
+def _load(file: Path) -> ModuleType:
+    """The module of a file, which is run again only if the file has changed since."""
+    changed = file.stat().st_mtime_ns, file.stat().st_size
+    when, module = _modules.get(file, (None, None))
+    if module is not None and when == changed:
+        return module
+    name = f"fovconn_policy_{file.as_posix().replace('/', '_')}"
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)  # there, so that its objects can be pickled
+    spec.loader.exec_module(module)
+    _modules[file] = changed, module
+    return module

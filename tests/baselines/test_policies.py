@@ -416,6 +416,17 @@ def test_own_policy_from_a_file(file, seen):
         np.testing.assert_array_equal(load_policy(name, small()).decide(seen), 0.0)
 
 
+def test_a_file_is_loaded_once_until_it_changes(file):
+    text = f"from pathlib import Path\nwith Path('runs').open('a') as runs:\n    runs.write('x')\n{STAY}"
+    file("own_stay.py", text)
+    kinds = {find_policy(name) for name in ("own_stay.py", "own_stay.py:Stay", str(Path.cwd() / "own_stay.py"))}
+    assert len(kinds) == 1
+    assert Path("runs").read_text() == "x"
+    file("own_stay.py", text + "# changed\n")
+    assert find_policy("own_stay.py") not in kinds
+    assert Path("runs").read_text() == "xx"
+
+
 def test_of_two_policies_in_a_file_one_must_be_named(file):
     file("own_two.py", STAY + STAY.replace("Stay", "Still"))
     assert find_policy("own_two.py:Still").__name__ == "Still"

@@ -12,7 +12,7 @@ import pytest
 
 from fovconn_env import PRESETS, scenario
 from fovconn_env.training.evaluation import campaign, evaluate
-from fovconn_env.training.evaluation.campaign import Cell, Shelf, fingerprint, fly_cells, parse_seeds, suite
+from fovconn_env.training.evaluation.campaign import Cell, Shelf, code_hash, fingerprint, fly_cells, parse_seeds, suite
 
 ROOT = Path(__file__).parents[2]
 TINY = {"n_agents": 3, "max_cycles": 30, "warmup": 0.2}
@@ -73,6 +73,29 @@ def test_another_setting_or_other_code_is_another_file(tmp_path):
     assert fingerprint(cells[-1]) != prints[-1]
     mine.write_text(text)
     assert [fingerprint(cell) for cell in cells] == prints
+
+
+def test_the_fingerprint_is_of_the_code_that_flies(tmp_path):
+    """Each file once, through links, too."""
+    root, away = tmp_path / "fovconn_env", tmp_path / "baselines"
+    for folder in (root / "render" / "live", root / "training", root / "kernel", away):
+        folder.mkdir(parents=True)
+        (folder / "a.py").write_text("1")
+    (root / "baselines").symlink_to(away)
+    before = code_hash.__wrapped__(root)
+    for file, changes in (
+        (root / "render" / "live" / "a.py", False),
+        (root / "training" / "a.py", False),
+        (root / "kernel" / "a.txt", False),
+        (root / "kernel" / "a.py", True),
+        (away / "a.py", True),
+    ):
+        file.write_text("2")
+        after = code_hash.__wrapped__(root)
+        assert (after != before) == changes, file
+        before = after
+    (root / "kernel" / "a.py").rename(root / "kernel" / "b.py")
+    assert code_hash.__wrapped__(root) != before
 
 
 BROKEN = """

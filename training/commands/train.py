@@ -215,7 +215,7 @@ def _train(name: str, given: Mapping[str, Any]) -> None:
 
     from fovconn_env.training.learn.learning import Budget, Network, train
 
-    trainer, tune = TRAINERS[name], list(given["tune"] or ())
+    trainer, tune = TRAINERS[name], given["tune"] or []
     module = importlib.import_module(f"fovconn_env.training.learn.{trainer.module}")
     kind = getattr(module, trainer.settings)
     if "help" in tune:
@@ -225,7 +225,7 @@ def _train(name: str, given: Mapping[str, Any]) -> None:
     arguments = trainer.arguments(given)
     budget = Budget(steps=given["steps"], minutes=given["minutes"])
     flown = _scenarios(given["scenarios"] or ["LeaderFollow-v0"], given["settings"])
-    words = [f"base={given['base']}", *tune] if "base" in given else tune
+    words: list[str] = [f"base={given['base']}", *tune] if "base" in given else tune
     hyper, network = tuned(kind, Network, words, given["network"])
     if given["threads"]:
         torch.set_num_threads(given["threads"])

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import fovconn_env
-from fovconn_env import PRESETS, Recorder, Scenario, baselines
+from fovconn_env import PRESETS, Recorder, Scenario
 from fovconn_env.baselines import POLICIES, find_policy
 from fovconn_env.files import Archive, Kind, read_archive, write_archive
 from fovconn_env.scenarios.serialize import scenario_to_json
@@ -261,17 +261,19 @@ def fingerprint(cell: Cell) -> str:
     kind = find_policy(cell.policy)
     scenarios = [scenario_to_json(scenario) for scenario in (cell.scenario, kind.equip(cell.scenario))]
     digest = hashlib.sha256(json.dumps(scenarios).encode())
-    digest.update((_code() + kind.tag()).encode())
+    digest.update((code_hash(Path(inspect.getfile(fovconn_env)).parent) + kind.tag()).encode())
     with contextlib.suppress(OSError, TypeError):  # a class typed at a prompt has no file
         digest.update(Path(inspect.getfile(kind)).read_bytes())
     return digest.hexdigest()[:12]
 
 
 @functools.cache
-def _code() -> str:
-    """Hash of the sources of environment and baselines."""
+def code_hash(root: Path) -> str:
+    """Hash of the sources below a folder, links followed: of all that flies, so not of render/ and training/."""
     digest = hashlib.sha256()
-    for package in (fovconn_env, baselines):
-        for file in sorted(Path(inspect.getfile(package)).parent.rglob("*.py")):
-            digest.update(file.read_bytes())
+    for folder, below, names in os.walk(root, followlinks=True):
+        below[:] = sorted(set(below) - {"render", "training"})
+        for name in sorted(name for name in names if name.endswith(".py")):
+            file = Path(folder, name)
+            digest.update(file.relative_to(root).as_posix().encode() + file.read_bytes())
     return digest.hexdigest()
