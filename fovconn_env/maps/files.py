@@ -1,6 +1,6 @@
-"""Maps as files: what a JSON or SVG file says, as calls of Map's methods. The formats: docs/maps.md. Metres.
+"""Maps as files: the obstacles of a JSON or SVG file as calls of Map's methods. Formats: docs/maps.md. Metres.
 
-Everything is read and checked before the first call is handed out; errors name file, element, rule, value and hint.
+A file is read and checked as a whole first. Errors name file, element, rule, value and hint.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ MAX_CORNERS = 20_000  # of all obstacles of a file; a circle has one, a wall two
 MAX_OUTLINE = 1000  # corners of one outline: the time to cut it into convex pieces grows with their cube
 SUFFIXES = (".json", ".svg")
 
-# Keys of an obstacle, as Map's methods name them, and how deep their lists nest: 0 a number, 1 a point, 2 an outline.
+# Arguments of Map's methods, by shape, and the depth of their nested lists: 0 a number, 1 a point, 2 an outline.
 _SHAPES = {
     "circle": {"center": 1, "radius": 0},
     "wall": {"start": 1, "end": 1, "thickness": 0},
@@ -30,11 +30,11 @@ _SHAPES = {
 }
 _OPTIONAL = {"circle": {}, "wall": {}, "polygon": {"radius": 0}}
 _HEIGHTS = {"low": 0, "high": 0}
-_KINDS = ("a finite number", "a point [x, y] of finite numbers", "a list of points [x, y] of finite numbers")
+_DEPTHS = ("a finite number", "a point [x, y] of finite numbers", "a list of points [x, y] of finite numbers")
 
 
 class Entry(NamedTuple):
-    """One obstacle of a file: its name there, and the shapes it is made of as (method of Map, arguments)."""
+    """One obstacle of a file: its name in the file, and its shapes as calls (method of Map, arguments)."""
 
     name: str
     shapes: Sequence[tuple[str, Mapping[str, Any]]]
@@ -43,21 +43,21 @@ class Entry(NamedTuple):
 def read_entries(path: Path, scale: float) -> list[Entry]:
     """The obstacles of a file, in its order. scale, m: length of an SVG user unit.
 
-    Raises ValueError for what the file says, OSError for a file that cannot be read.
+    Raises ValueError for contents that are not a map, OSError for a file that cannot be read.
     """
     suffix, file = path.suffix.lower(), str(path)
     rule(suffix in SUFFIXES, f"{file}: a map", f"a file in {' or '.join(SUFFIXES)}", path.suffix, "see docs/maps.md")
     rule(suffix == ".svg" or scale == 1.0, f"{file}: scale", "1 for a .json file", scale, "its numbers are metres")
     if suffix == ".json":
-        entries = _read_json(_text(path), file)
+        entries = _read_json(_read_text(path), file)
     else:
-        entries = [Entry(*found) for found in read_svg(_text(path), file, scale, MAX_OUTLINE)]
+        entries = [Entry(*obstacle) for obstacle in read_svg(_read_text(path), file, scale, MAX_OUTLINE)]
     total, hint = 0, "simplify it, or draw it as several"
     for entry in entries:
-        for shape, words in entry.shapes:
-            count = len(words["outline"]) if shape == "polygon" else 1 + (shape == "wall")
-            says = f"of at most {MAX_OUTLINE} corners"
-            rule(count <= MAX_OUTLINE, f"{file}: {entry.name}: an outline", says, count, hint)
+        for shape, arguments in entry.shapes:
+            count = len(arguments["outline"]) if shape == "polygon" else 1 + (shape == "wall")
+            limit = f"of at most {MAX_OUTLINE} corners"
+            rule(count <= MAX_OUTLINE, f"{file}: {entry.name}: an outline", limit, count, hint)
             total += count
     rule(total <= MAX_CORNERS, f"{file}: a map", f"of at most {MAX_CORNERS} corners", total, "simplify its outlines")
     return entries
@@ -69,18 +69,18 @@ def write_entries(path: Path, entries: Sequence[Sequence[tuple[str, Mapping[str,
     rule(path.suffix.lower() == ".json", f"{path}: a map", "written to a .json file", path.suffix, hint)
     lines = []
     for shapes in entries:
-        parts = [json.dumps({"shape": shape, **words}, allow_nan=False) for shape, words in shapes]
+        parts = [json.dumps({"shape": shape, **arguments}, allow_nan=False) for shape, arguments in shapes]
         lines.append(parts[0] if len(parts) == 1 else f"[{', '.join(parts)}]")
     body = ",\n  ".join(lines)
     text = f'{{\n "format": "{FORMAT}",\n "version": {VERSION},\n "obstacles": [\n  {body}\n ]\n}}\n'
     write_text(path, text)
 
 
-def _text(path: Path) -> str:
+def _read_text(path: Path) -> str:
     with path.open("rb") as file:
         data = file.read(MAX_BYTES + 1)
-    says, hint = f"at most {MAX_BYTES} bytes long", "simplify its outlines"
-    rule(len(data) <= MAX_BYTES, f"{path}: a map", says, path.stat().st_size, hint)
+    limit, hint = f"at most {MAX_BYTES} bytes long", "simplify its outlines"
+    rule(len(data) <= MAX_BYTES, f"{path}: a map", limit, path.stat().st_size, hint)
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
@@ -88,65 +88,66 @@ def _text(path: Path) -> str:
 
 
 def _read_json(text: str, file: str) -> list[Entry]:
-    def refuse(word: str) -> None:
-        raise ValueError(f"{word} is no number")
+    def reject_constant(name: str) -> None:
+        raise ValueError(f"{name} is no number")
 
-    try:  # whole numbers as floats: True stays apart, and no number of digits is too large
-        record = json.loads(text, parse_int=float, parse_constant=refuse, object_pairs_hook=_once)
+    try:  # parse_int=float: then only True and False are ints, and an integer of many digits is no problem
+        record = json.loads(text, parse_int=float, parse_constant=reject_constant, object_pairs_hook=_unique_keys)
     except (ValueError, RecursionError) as problem:
         raise ValueError(f"{file}: a .json map must be JSON, got something else: {problem}") from None
-    got = record.get("format") if isinstance(record, dict) else record
-    rule(got == FORMAT, f"{file}: format", repr(FORMAT), Short(got), "see docs/maps.md")
+    name = record.get("format") if isinstance(record, dict) else record
+    rule(name == FORMAT, f"{file}: format", repr(FORMAT), Short(name), "see docs/maps.md")
     _check_keys(file, record, ("format", "version", "obstacles"), ())
     version, obstacles = record["version"], record["obstacles"]
-    known = version == VERSION and not isinstance(version, bool)
-    rule(known, f"{file}: version", str(VERSION), Short(version), "is it of a newer fovconn_env?")
+    supported = version == VERSION and not isinstance(version, bool)
+    rule(supported, f"{file}: version", str(VERSION), Short(version), "is it of a newer fovconn_env?")
     rule(isinstance(obstacles, list), f"{file}: obstacles", "a list", Short(obstacles), "of one object each")
     entries = []
     for k, item in enumerate(obstacles):
         name = f"obstacles[{k}]"
         parts = item if isinstance(item, list) else [item]
         rule(bool(parts), f"{file}: {name}", "an object or a list of some", Short(item), "a list is one obstacle")
-        entries.append(Entry(name, [_shape(f"{file}: {name}", part) for part in parts]))
+        entries.append(Entry(name, [_read_shape(f"{file}: {name}", part) for part in parts]))
     return entries
 
 
-def _shape(where: str, item: Any) -> tuple[str, dict[str, Any]]:
-    """One shape, its keys and their types checked; what the numbers may be is Map's to say."""
+def _read_shape(where: str, item: Any) -> tuple[str, dict[str, Any]]:
+    """One shape as (method of Map, arguments). Keys and types are checked here, values by Map's methods."""
     rule(isinstance(item, dict), where, "an object", Short(item), "see docs/maps.md")
     shape = item.get("shape")
-    known = isinstance(shape, str) and shape in _SHAPES
-    rule(known, f"{where}: shape", f"one of {', '.join(_SHAPES)}", Short(shape), "these are Map's methods")
+    valid = isinstance(shape, str) and shape in _SHAPES
+    rule(valid, f"{where}: shape", f"one of {', '.join(_SHAPES)}", Short(shape), "these are Map's methods")
     needed, optional = _SHAPES[shape], _OPTIONAL[shape] | _HEIGHTS
     where = f"{where} ({shape})"
     _check_keys(where, item, ("shape", *needed), tuple(optional))
-    words = {key: value for key, value in item.items() if key != "shape"}
-    for key, value in words.items():
+    arguments = {key: value for key, value in item.items() if key != "shape"}
+    for key, value in arguments.items():
         depth = (needed | optional)[key]
-        rule(_nests(value, depth), f"{where}: {key}", _KINDS[depth], Short(value), "metres")
-    return shape, words
+        rule(_is_nested(value, depth), f"{where}: {key}", _DEPTHS[depth], Short(value), "metres")
+    return shape, arguments
 
 
 def _check_keys(where: str, item: Mapping[str, Any], needed: Sequence[str], optional: Sequence[str]) -> None:
-    known = (*needed, *optional)
+    allowed = (*needed, *optional)
     for key in item:
-        rule(key in known, f"{where}: a key", f"one of {', '.join(known)}", Short(key), "is it misspelt?")
+        rule(key in allowed, f"{where}: a key", f"one of {', '.join(allowed)}", Short(key), "is it misspelt?")
     for key in needed:
         rule(key in item, where, f"an object with the key {key!r}", Short(list(item)), "add it")
 
 
-def _nests(value: Any, depth: int) -> bool:
-    """Is it a finite number (depth 0), a point of two, or a list of points?"""
+def _is_nested(value: Any, depth: int) -> bool:
+    """True for a finite number (depth 0), a point of two numbers (1), or a list of points (2)."""
     if depth == 0:
         return isinstance(value, float) and math.isfinite(value)
     size = len(value) if isinstance(value, list) else 0
-    return size > 0 and (depth > 1 or size == 2) and all(_nests(part, depth - 1) for part in value)
+    return size > 0 and (depth > 1 or size == 2) and all(_is_nested(part, depth - 1) for part in value)
 
 
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"{twice!r} is there twice in one object")
-    return found
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """The pairs of a JSON object as a dict; a repeated key is a ValueError."""
+    item = dict(pairs)
+    if len(item) < len(pairs):
+        keys = [key for key, _ in pairs]
+        repeated = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"{repeated!r} is there twice in one object")
+    return item

@@ -12,7 +12,7 @@ import pymunk
 from fovconn_env.maps.obstacles import HIGH, LOW, Map, rounded_shape
 from fovconn_env.maps.outlines import checked_array, checked_length
 
-_TRIES = 1000  # places a forest tries for one obstacle
+MAX_TRIES = 1000  # places drawn for one obstacle before giving up
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,26 +49,26 @@ class Forest:
         keep_clear: npt.ArrayLike,
         keep_radius: float,
     ) -> Map:
-        """Draw a map whose obstacles have their centres in the area, walls first.
+        """Draw a map, walls first. The obstacles' centres are in the area.
 
-        area, m: x_min, x_max, y_min, y_max. keep_clear (m, 3), m: points from which every obstacle keeps keep_radius,
-        m, in plan. Raises ValueError when an obstacle finds no room.
+        area, m: x_min, x_max, y_min, y_max. keep_clear (m, 3), m: every obstacle is at least keep_radius, m, from these
+        points in plan. Raises ValueError where an obstacle has no room.
         """
         x_min, x_max, y_min, y_max = checked_array("Forest.generate area", area, (4,))
         if x_min > x_max or y_min > y_max:
             raise ValueError(f"Forest.generate area must be x_min, x_max, y_min, y_max with min <= max, got {area}: m")
-        clear = checked_array("Forest.generate keep_clear", keep_clear, (-1, 3))[:, :2].tolist()
+        points = checked_array("Forest.generate keep_clear", keep_clear, (-1, 3))[:, :2].tolist()
         checked_length("Forest.generate keep_radius", keep_radius, least=0.0)
         result = Map()
         for kind in ["wall"] * self.n_walls + ["pillar"] * self.n_pillars:
-            for _ in range(_TRIES):
+            for _ in range(MAX_TRIES):
                 center = np.array([rng.uniform(x_min, x_max), rng.uniform(y_min, y_max)])
-                core, radius = self._wall(rng, center) if kind == "wall" else self._pillar(rng, center)
-                around = rounded_shape(core, radius + self.gap)
-                around.update(pymunk.Transform.identity())  # a shape outside a space is placed by this call only
-                if result.space.shape_query(around):
+                core, radius = self._draw_wall(rng, center) if kind == "wall" else self._draw_pillar(rng, center)
+                grown = rounded_shape(core, radius + self.gap)
+                grown.update(pymunk.Transform.identity())  # a shape outside a space is placed by this call only
+                if result.space.shape_query(grown):
                     continue
-                if all(around.point_query(point).distance + self.gap >= keep_radius for point in clear):
+                if all(grown.point_query(point).distance + self.gap >= keep_radius for point in points):
                     if kind == "wall":
                         result.wall(core[0], core[1], self.wall_thickness, low=self.low, high=self.high)
                     else:
@@ -76,16 +76,16 @@ class Forest:
                     break
             else:
                 raise ValueError(
-                    f"Forest found no room for a {kind} after {_TRIES} tries, with {len(result.space.shapes)} of "
+                    f"Forest found no room for a {kind} after {MAX_TRIES} tries, with {len(result.space.shapes)} of "
                     f"{self.n_walls + self.n_pillars} obstacles placed: fewer or smaller ones, a smaller gap or "
                     "keep_radius, or a larger area"
                 )
         return result
 
-    def _pillar(self, rng: np.random.Generator, center: np.ndarray) -> tuple[list, float]:
+    def _draw_pillar(self, rng: np.random.Generator, center: np.ndarray) -> tuple[list, float]:
         return [center.tolist()], rng.uniform(*self.pillar_radius)
 
-    def _wall(self, rng: np.random.Generator, center: np.ndarray) -> tuple[list, float]:
+    def _draw_wall(self, rng: np.random.Generator, center: np.ndarray) -> tuple[list, float]:
         heading, length = rng.uniform(0.0, math.pi), rng.uniform(*self.wall_length)
         half = np.array([math.cos(heading), math.sin(heading)]) * length / 2
         return [(center - half).tolist(), (center + half).tolist()], self.wall_thickness / 2

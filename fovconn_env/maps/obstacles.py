@@ -15,14 +15,14 @@ from fovconn_env.kernel.records import PIECE
 from fovconn_env.maps.files import read_entries, write_entries
 from fovconn_env.maps.outlines import checked_array, checked_length, checked_outline, convex_pieces
 
-LOW, HIGH = -100.0, 100.0  # m, height interval of an obstacle that is not told one
+LOW, HIGH = -100.0, 100.0  # m, an obstacle's height interval by default
 
 
 class Map:
-    """Obstacles that stand still, each a vertical prism: a shape in plan times a height interval [low, high].
+    """Static obstacles, each a vertical prism: a shape in plan times a height interval [low, high].
 
-    `circle`, `wall` and `polygon` add one obstacle and return the map, so that calls can be chained; what they refuse
-    with a ValueError leaves the map as it was. `space` holds the shapes, for queries; every shape there carries
+    `circle`, `wall` and `polygon` add one obstacle and return the map, so that calls can be chained; a call that raises
+    ValueError leaves the map unchanged. `space` holds the shapes, for queries; every shape in it has the attributes
     `height` (low, high) and `source`, the number of its obstacle.
     """
 
@@ -31,11 +31,11 @@ class Map:
 
     @classmethod
     def from_space(cls, space: pymunk.Space) -> Self:
-        """Map of the static shapes of your own space; what changes there later does not reach it.
+        """Map with copies of a space's static shapes.
 
-        A shape may carry `shape.height = (low, high)` in metres, and `shape.source`, any label: shapes that share it
-        count as one obstacle. Sensors are left out. Raises ValueError for a body that moves and for a shape that
-        `circle`, `wall` or `polygon` would refuse.
+        A shape may have `shape.height = (low, high)` in metres, and `shape.source`, any label: shapes with the same
+        label form one obstacle. Sensors are left out. Raises ValueError for a body that is not static and for a shape
+        that `circle`, `wall` or `polygon` does not accept.
         """
         groups: dict[object, list[pymunk.Shape]] = {}
         for shape in space.shapes:
@@ -43,13 +43,13 @@ class Map:
                 groups.setdefault(getattr(shape, "source", shape), []).append(shape)
         result = cls()
         for source, shapes in enumerate(groups.values()):
-            known = len(result.space.shapes)
+            n_before = len(result.space.shapes)
             for shape in shapes:
                 try:
-                    result._take(shape)
+                    result._add_copy(shape)
                 except (TypeError, ValueError) as error:
                     raise ValueError(f"Map.from_space cannot take {shape}: {error}") from error
-            for added in list(result.space.shapes)[known:]:
+            for added in list(result.space.shapes)[n_before:]:
                 added.source = source
         return result
 
@@ -57,8 +57,8 @@ class Map:
     def from_file(cls, path: str | Path, *, scale: float = 1.0) -> Self:
         """Map of a .json file as `to_file` writes it, or of the closed outlines of an .svg drawing (docs/maps.md).
 
-        scale, m: length of a user unit of the drawing. Raises ValueError that names file, element, rule and value for
-        what cannot be read, OSError for a file that is not there.
+        scale, m: length of a user unit of the drawing. Raises ValueError, with file, element, rule and value, for
+        contents that are not a map, and OSError for a file that cannot be read.
         """
         result = cls()
         for entry in read_entries(Path(path), scale):
@@ -69,24 +69,24 @@ class Map:
         return result
 
     def to_file(self, path: str | Path) -> None:
-        """Write the map as .json, from which `from_file` makes an equal one, bit for bit."""
+        """Write the map as .json; `from_file` reads an equal map from it, bit for bit."""
         write_entries(Path(path), self.obstacles())
 
     def obstacles(self) -> list[list[tuple[str, dict[str, Any]]]]:
-        """Every obstacle as the calls (method, arguments) that add its shapes, see `obstacle`; JSON-ready."""
-        found: dict[int, list[tuple[str, dict[str, Any]]]] = {}
+        """Every obstacle as the calls (method, arguments) that add its shapes, as `obstacle` takes them; JSON types."""
+        calls: dict[int, list[tuple[str, dict[str, Any]]]] = {}  # by source
         for shape in self.space.shapes:
-            written = _written(shape)
-            if written is not None:
-                found.setdefault(shape.source, []).append(written)
-        return list(found.values())
+            call = _method_call(shape)
+            if call is not None:
+                calls.setdefault(shape.source, []).append(call)
+        return list(calls.values())
 
     def obstacle(self, shapes: Iterable[tuple[str, Mapping[str, Any]]]) -> Self:
         """Add one obstacle of several shapes, each as a call: "circle", "wall" or "polygon", and its arguments."""
-        known = len(self.space.shapes)
-        for shape, words in shapes:
-            getattr(self, shape)(**words)
-        added = list(self.space.shapes)[known:]
+        n_before = len(self.space.shapes)
+        for method, arguments in shapes:
+            getattr(self, method)(**arguments)
+        added = list(self.space.shapes)[n_before:]
         for shape in added:
             shape.source = added[0].source
         return self
@@ -112,14 +112,14 @@ class Map:
         checked_length("Map.polygon radius", radius, least=0.0)
         corners = checked_array("Map.polygon outline", outline, (-1, 2))
         pieces = convex_pieces(checked_outline("Map.polygon outline", corners))
-        known = len(self.space.shapes)
+        n_before = len(self.space.shapes)
         self._add("Map.polygon", [piece.tolist() for piece in pieces], radius, low, high)
-        for k, shape in enumerate(list(self.space.shapes)[known:]):
-            shape.outline = [] if k else corners.tolist()  # the first piece stands for all when written
+        for k, shape in enumerate(list(self.space.shapes)[n_before:]):
+            shape.outline = [] if k else corners.tolist()  # `obstacles` returns the polygon once, for its first piece
         return self
 
     def flatten(self) -> tuple[np.ndarray, np.ndarray]:
-        """What the kernels read: pieces (P,) PIECE, those of one obstacle side by side, and vertices (V, 2), m."""
+        """Arrays for the kernels: pieces (P,) PIECE, those of one obstacle adjacent, and vertices (V, 2), m."""
         cores = [_core(shape) for shape in self.space.shapes]
         pieces = np.zeros(len(cores), PIECE)
         first = 0
@@ -133,20 +133,19 @@ class Map:
         x, y, z = checked_array("Map.clearance points", points, (-1, 3)).T
         least = np.full(len(x), np.inf)
         for shape in self.space.shapes:
-            side = np.array([shape.point_query((a, b)).distance for a, b in zip(x, y, strict=True)])
-            level = np.maximum(shape.height[0] - z, z - shape.height[1])
-            outside = np.hypot(np.maximum(side, 0.0), np.maximum(level, 0.0))
-            least = np.minimum(least, outside + np.minimum(np.maximum(side, level), 0.0))
+            plan = np.array([shape.point_query((a, b)).distance for a, b in zip(x, y, strict=True)])
+            vertical = np.maximum(shape.height[0] - z, z - shape.height[1])
+            outside = np.hypot(np.maximum(plan, 0.0), np.maximum(vertical, 0.0))
+            least = np.minimum(least, outside + np.minimum(np.maximum(plan, vertical), 0.0))
         return least
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Map):
             return NotImplemented
-        mine, its = self.flatten(), other.flatten()
-        return all(np.array_equal(a, b) for a, b in zip(mine, its, strict=True))
+        return all(np.array_equal(a, b) for a, b in zip(self.flatten(), other.flatten(), strict=True))
 
     def __hash__(self) -> int:
-        return hash(Map)  # a map can be added to: equal maps must stay equal
+        return hash(Map)  # one value for all: a map is mutable, and equal maps need equal hashes
 
     def __repr__(self) -> str:
         return f"<Map of {len({shape.source for shape in self.space.shapes})} obstacles>"
@@ -155,7 +154,7 @@ class Map:
         return copy.deepcopy(self)  # a shared space would let the copy add obstacles to the original
 
     def _add(self, name: str, cores: list[list], radius: float, low: float, high: float) -> Self:
-        """Add one obstacle of rounded convex cores; everything is checked before anything is added."""
+        """Add one obstacle of rounded convex cores. All checks come first: an error leaves the map unchanged."""
         if len(cores[0]) < 3:
             checked_length(f"{name} radius", radius, above=0.0)
         low = checked_length(f"{name} low", low)
@@ -167,8 +166,8 @@ class Map:
             self.space.add(shape)
         return self
 
-    def _take(self, shape: pymunk.Shape) -> None:
-        """Add a copy of a shape of another space, where it stands in the world."""
+    def _add_copy(self, shape: pymunk.Shape) -> None:
+        """Add a copy of a shape of another space, at the shape's place in the world frame."""
         if shape.body is None or shape.body.body_type != pymunk.Body.STATIC:
             raise ValueError("its body must be static: obstacles stand still")
         core = [tuple(shape.body.local_to_world(corner)) for corner in _core(shape)]
@@ -181,8 +180,8 @@ class Map:
             self.polygon(core, shape.radius, low=low, high=high)
 
 
-def _written(shape: pymunk.Shape) -> tuple[str, dict[str, Any]] | None:
-    """The call of a Map's method that added a shape; None for all but the first piece of a polygon."""
+def _method_call(shape: pymunk.Shape) -> tuple[str, dict[str, Any]] | None:
+    """The call (method of Map, arguments) that adds a shape; None for all but the first piece of a polygon."""
     low, high = shape.height
     heights = {"low": low, "high": high}
     if isinstance(shape, pymunk.Circle):
@@ -205,7 +204,7 @@ def _core(shape: pymunk.Shape) -> list[pymunk.Vec2d]:
 
 
 def rounded_shape(core: list, radius: float) -> pymunk.Shape:
-    """Shape without a body: a convex core of 1, 2 or more corners, rounded by radius, m."""
+    """Shape without a body: a convex core of 1, 2 or more corners, grown by a radius, m."""
     if len(core) == 1:
         return pymunk.Circle(None, radius, core[0])
     if len(core) == 2:

@@ -1,7 +1,7 @@
-"""Outlines of obstacles in plan: checked, and cut into convex pieces.
+"""Outlines of obstacles in plan: checks, and the decomposition into convex pieces.
 
-`pymunk.autogeometry.convex_decomposition` is not used: on some simple outlines with right angles pymunk 7.3 ends the
-whole process with a segmentation fault (tests/maps/test_maps.py has one).
+`pymunk.autogeometry.convex_decomposition` is not used: on some simple outlines with right angles pymunk 7.3 crashes
+with a segmentation fault (tests/maps/test_maps.py has one).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ FAR = 1e6  # m, no coordinate is larger
 
 
 class Short(NamedTuple):
-    """A value of a file, as errors show it: not too long."""
+    """A value of a file whose repr is shortened, for error messages."""
 
     value: Any
 
@@ -27,7 +27,7 @@ class Short(NamedTuple):
 
 
 def checked_array(field: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
-    """Lengths, m, as floats of a shape in which -1 stands for any size; `field` names them in errors."""
+    """Lengths, m, as a float array, checked. In `shape` -1 is any size; `field` is the name in errors."""
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError):
@@ -57,7 +57,7 @@ def checked_length(field: str, value: float, *, above: float = -math.inf, least:
 
 
 def checked_outline(field: str, outline: npt.ArrayLike) -> np.ndarray:
-    """Corners (n, 2) of a simple outline, counter-clockwise, each once; `field` names it in errors.
+    """Corners (n, 2) of a simple outline, counter-clockwise, each once; `field` is its name in errors.
 
     The first corner may be repeated at the end. Raises ValueError unless the outline is simple and has an area.
     """
@@ -80,34 +80,34 @@ def checked_outline(field: str, outline: npt.ArrayLike) -> np.ndarray:
 
 
 def convex_pieces(outline: np.ndarray) -> list[np.ndarray]:
-    """Convex pieces (m, 2) that tile a checked outline, cut from its reflex corners to other corners of its own."""
-    waiting, pieces = [outline], []
-    while waiting:
-        corners = waiting.pop()
+    """Convex pieces (m, 2) that tile a checked outline. Cuts go from reflex corners to other corners of the outline."""
+    stack, pieces = [outline], []
+    while stack:
+        corners = stack.pop()
         turn = _turns(corners)
         if turn.min() >= -_STRAIGHT:
             pieces.append(corners)
             continue
         corners = np.roll(corners, -int(turn.argmin()), axis=0)
-        cut = _best_cut(corners)
-        waiting += [np.concatenate([corners[cut:], corners[:1]]), corners[: cut + 1]]
+        cut = _choose_cut(corners)
+        stack += [np.concatenate([corners[cut:], corners[:1]]), corners[: cut + 1]]
     return pieces
 
 
-def _best_cut(corners: np.ndarray) -> int:
-    """Corner to cut to from corner 0, a reflex one: the nearest that leaves no reflex angle there, else the nearest.
+def _choose_cut(corners: np.ndarray) -> int:
+    """Corner to cut to from corner 0, which is reflex: the nearest one that removes the reflex angle, else the nearest.
 
-    Every reflex corner of a simple polygon can be cut to another corner: it takes part in more than one triangle.
+    A cut always exists: in a triangulation of a simple polygon a reflex corner belongs to more than one triangle.
     """
     n = len(corners)
     rays, number = corners - corners[0], np.arange(n)
     length = np.hypot(rays[:, 0], rays[:, 1])
     left, right = _cross(rays[1], rays), _cross(rays, rays[-1])  # of the edge that leaves, of the edge that arrives
-    # other corners on the way would leave slivers, other edges would be crossed
+    # a cut may not pass through another corner, which would leave a sliver, nor cross an edge
     share = np.clip(rays @ rays.T / np.maximum(length, FAR**-2)[:, None] ** 2, 0.0, 1.0)
     offset = np.linalg.norm(rays[None] - share[..., None] * rays[:, None], axis=-1)
     offset[:, 0] = offset[number, number] = np.inf
-    crossed = _touch(corners[:1, None], corners[:, None], corners[None], np.roll(corners, -1, axis=0)[None])
+    crossed = _segments_meet(corners[:1, None], corners[:, None], corners[None], np.roll(corners, -1, axis=0)[None])
     crossed[:, [0, n - 1]] = crossed[number, number] = crossed[number, number - 1] = False
     possible = ((left > 0.0) | (right > 0.0)) & ~crossed.any(axis=1) & (offset.min(axis=1) > _STRAIGHT * length.max())
     possible[[0, 1, n - 1]] = False
@@ -118,14 +118,14 @@ def _best_cut(corners: np.ndarray) -> int:
 
 
 def _first_crossing(corners: np.ndarray) -> tuple[int, int] | None:
-    """Edges (i, j), named by their first corners, that meet without being neighbours; None for a simple outline."""
+    """First corners (i, j) of two edges that meet and are not adjacent; None for a simple outline."""
     n = len(corners)
     ends = np.roll(corners, -1, axis=0)
-    touching = _touch(corners[:, None], ends[:, None], corners[None], ends[None])
+    touching = _segments_meet(corners[:, None], ends[:, None], corners[None], ends[None])
     apart = (np.arange(n)[None] - np.arange(n)[:, None]) % n
     touching &= (apart > 1) & (apart < n - 1)
-    found = np.argwhere(touching)
-    return (int(found[0, 0]), int(found[0, 1])) if len(found) else None
+    pairs = np.argwhere(touching)
+    return (int(pairs[0, 0]), int(pairs[0, 1])) if len(pairs) else None
 
 
 def _turns(corners: np.ndarray) -> np.ndarray:
@@ -134,8 +134,8 @@ def _turns(corners: np.ndarray) -> np.ndarray:
     return np.arctan2(_cross(before, after), (before * after).sum(axis=1))
 
 
-def _touch(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Do the segments a-b and c-d, (..., 2) each, share a point? (...) bool."""
+def _segments_meet(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Whether the segments a-b and c-d, (..., 2) each, share a point, (...) bool."""
     boxes_apart = (np.maximum(a, b) < np.minimum(c, d)) | (np.maximum(c, d) < np.minimum(a, b))
     c_d_beside = _cross(b - a, c - a) * _cross(b - a, d - a) > 0.0
     a_b_beside = _cross(d - c, a - c) * _cross(d - c, b - c) > 0.0
@@ -143,5 +143,5 @@ def _touch(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.nda
 
 
 def _cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Cross product (its z component) of plan vectors (..., 2)."""
+    """The z component of the cross product of plan vectors (..., 2)."""
     return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]

@@ -139,7 +139,7 @@ def most_draws(task):
         return starts.MAX_TRIES * (2 + course)
     obstacles = 2
     if isinstance(task.map, Forest):
-        obstacles = 4 * forest_module._TRIES * (task.map.n_pillars + task.map.n_walls)
+        obstacles = 4 * forest_module.MAX_TRIES * (task.map.n_pillars + task.map.n_walls)
     return starts.MAX_MAPS * (2 * starts.MAX_TRIES + course + obstacles)
 
 
