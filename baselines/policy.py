@@ -1,4 +1,4 @@
-"""What every policy has in common."""
+"""The base class of policies."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ Observation = Mapping[str, np.ndarray] | np.ndarray
 
 
 class Policy(ABC):
-    """Maps observations of one scenario's robots to actions; every robot runs the same one, each for itself.
+    """Maps observations of one scenario's robots to actions. Every robot runs the same policy on its own observation.
 
-    A subclass fills in `decide`. What it may use is the observation alone. A law that relies on other equipment than
-    the scenario's, another estimator for example, names those settings in `overrides`; `equip` puts them in. One
-    whose robots know more than sensors and messages can tell says so with `oracle = True`.
+    A subclass implements `decide` and uses the observation alone. A policy that needs other equipment than the
+    scenario's, another estimator for example, lists those settings in `overrides`; `equip` applies them. A policy whose
+    robots know more than sensors and messages provide has `oracle = True`.
     """
 
     overrides: ClassVar[Mapping[str, Any]] = {}  # settings as `fovconn_env.scenario` takes them
     oracle: ClassVar[bool] = False
 
     def __init__(self, scenario: Scenario) -> None:
-        """Raises `ValueError` where the scenario lacks the policy's equipment."""
+        """Raises `ValueError` if the scenario does not have the settings in `overrides`."""
         for name, wanted in self.overrides.items():
             if attrgetter(name)(scenario) != wanted:
                 hint = f"make the environment from {type(self).__name__}.equip(scenario)"
@@ -40,26 +40,26 @@ class Policy(ABC):
 
     @classmethod
     def equip(cls, base: str | Scenario) -> Scenario:
-        """A scenario, or that of an id, with this policy's `overrides`: what its team flies with."""
+        """A scenario, or the scenario of an id, with this policy's `overrides` applied."""
         return presets.scenario(base, **cls.overrides)
 
     @classmethod
     def tag(cls) -> str:
-        """What changes with all that the policy is made of beside settings and source code, such as weights."""
+        """A string that identifies what the policy consists of besides settings and source code, such as weights."""
         return ""
 
     @abstractmethod
     def decide(self, flat: np.ndarray) -> np.ndarray:
-        """Actions (R, 4) for flat observations (R, D) float32, one row a robot; rows do not know of each other."""
+        """Actions (R, 4) for flat observations (R, D) float32, one row a robot; rows are independent."""
 
     def reset(self, mask: np.ndarray | None = None) -> None:
-        """Forget the robots in `mask`; a policy without memory has nothing to do."""
+        """Clear the memory of the robots in `mask`; a policy without memory does nothing."""
 
     def act(self, observation: Observation) -> np.ndarray:
         """Actions, float32 shares in [-1, 1], for one observation, (4,), or for a stack of them, (..., 4).
 
         An observation is the environment's dict or its flat form; a stack has leading axes. Raises `ValueError` if
-        `decide` returns anything but one row of four a robot.
+        `decide` returns another shape than one row of four a robot.
         """
         if isinstance(observation, Mapping):
             observation = np.concatenate([observation[key] for key in ("self", "neighbors", "ranges")], axis=-1)
@@ -79,8 +79,8 @@ class Policy(ABC):
 
 
 def scenario_of(env: Any) -> Scenario:
-    """The scenario of an environment, a simulator or a scenario itself."""
-    found = env if isinstance(env, Scenario) else getattr(getattr(env, "unwrapped", env), "scenario", None)
-    if not isinstance(found, Scenario):
+    """The scenario of an environment or a simulator, or the given scenario."""
+    result = env if isinstance(env, Scenario) else getattr(getattr(env, "unwrapped", env), "scenario", None)
+    if not isinstance(result, Scenario):
         raise TypeError(f"env must be a fovconn environment, a Simulator or a Scenario, got {env!r}")
-    return found
+    return result

@@ -1,6 +1,6 @@
-"""The expert under other assumptions: its law is the same, what its team is equipped with is not.
+"""The expert's law on robots with other equipment.
 
-Whatever they assume on board, the judge takes the true weights (6), (11).
+The equipment changes what robots compute on board. Termination and metrics always use the true weights (6), (11).
 """
 
 from __future__ import annotations
@@ -9,25 +9,25 @@ from fovconn_env.baselines.laws.expert import Expert
 
 
 class Omni(Expert):
-    """The omnidirectional controller of [9]: it takes links for a matter of distance; the camera is the real one."""
+    """The omnidirectional controller of [9]: its link weights depend on distance alone; the camera is the real one."""
 
     overrides = {"weight": "omni"}
 
 
 class BothLook(Expert):
-    """A link counts only as far as both robots see each other: weight f*_ij f*_ji instead of (11)."""
+    """A link needs mutual view: weight f*_ij f*_ji instead of (11)."""
 
     overrides = {"weight": "product"}
 
 
 class NoYaw(Expert):
-    """Without the relative yaw estimator: a robot that is only seen leaves that link out of its action."""
+    """Without the relative yaw estimator: a robot leaves out links to robots that it does not see."""
 
     overrides = {"relative_yaw": "none"}
 
 
 class Flooding(Expert):
-    """With lambda2 and v2 from the whole graph: robots pass on all link weights that they know of."""
+    """With lambda2 and v2 of the whole graph: robots flood all link weights that they know."""
 
     overrides = {"lambda2": "flooding"}
 
@@ -40,7 +40,7 @@ class Oracle(Expert):
 
 
 class AllSeeing(Expert):
-    """The oracle with cameras that see all around: what a limited view costs. The judge counts what they see."""
+    """The oracle with omnidirectional cameras: shows the cost of a limited view. True weights count this wider view."""
 
     # f* (10) is 1 but for a cone of 3 deg behind the camera, which the other robot's camera covers
     overrides = {"camera.a_min": -1.0, "camera.a_max": -0.999, "weight": "omni", **Oracle.overrides}

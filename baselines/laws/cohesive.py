@@ -1,12 +1,12 @@
-"""The augmented expert that gathers: followers are also pulled towards all neighbours farther than D1.
+"""The augmented expert with cohesion: followers are also pulled towards all neighbours farther than D1.
 
-Not in the paper. To what `augmented` commands, a follower adds, inside the saturation,
+Not in the paper. A follower adds to the velocity of `augmented`, before the saturation,
 
     g_i = gather * sum_j max(d_ij - D1, 0) b_ij,   over the neighbours whose bearing is known.
 
-Why. V ends at lambda2_max: a team that is connected well enough is free to stay spread out, and a spread-out team has
-no links to spare when a wall hides one of them or a camera dies. The pull ends at D1, from where on (9) says that being
-nearer is not seeing better. The leader has none: it would hold the team against the operator.
+Why. V is 0 from lambda2_max on, so a well connected team may stay spread out. It then has no redundant links when a
+wall hides a robot or a camera fails. The pull ends at D1, below which the range weight (9) no longer grows. The leader
+has no pull: it would hold the team back against the operator.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from fovconn_env.scenarios.scenario import Scenario
 
 @dataclass(frozen=True, kw_only=True)
 class CohesiveGains(AugmentedGains):
-    """Those of `augmented`, and the pull (docs/decisions.md)."""
+    """The gains of `augmented`, and the pull (docs/decisions.md)."""
 
     gather: float = 0.15  # 1/s; chosen from 0.1 to 0.3 on seeds 20000-20095 of ten scenarios
 
 
 class Cohesive(Augmented):
-    """The augmented expert that gathers its team: more links to spare, a little slower."""
+    """The augmented expert with cohesion: more redundant links, a little slower."""
 
     def __init__(self, scenario: Scenario, gains: CohesiveGains | None = None) -> None:
         super().__init__(scenario, gains or CohesiveGains())

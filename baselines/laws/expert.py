@@ -25,17 +25,17 @@ GAINS = np.dtype((np.record, [(name, "f8") for name in _GAINS]))
 
 @dataclass(frozen=True, kw_only=True)
 class Gains:
-    """What the paper leaves open (docs/decisions.md)."""
+    """Gains that the paper does not give (docs/decisions.md)."""
 
     k_v: float = positive(0.2)  # gain of V; 0.05 lost 3.1 % of the teams, 0.2 0.8 % (docs/decisions.md)
-    clamp: float = positive(0.02)  # lambda2_hat is kept this far above lambda2_min, where V has its asymptote
+    clamp: float = positive(0.02)  # lambda2_hat is clamped to lambda2_min + clamp: V has its asymptote at lambda2_min
     k_obs: float = positive(0.05)  # m/s, gain of the repulsion
     d_min_obs: float = positive(1.0)  # m, its asymptote (Table I)
     d_max_obs: float = positive(3.5)  # m, where it ends (Table I)
-    closest: float = positive(1.02)  # m, distances are kept above this
-    excite: float = non_negative(0.2)  # m/s, see `excite`; 0 switches it off
+    closest: float = positive(1.02)  # m, distances are clamped to this
+    excite: float = non_negative(0.2)  # m/s, see `excitation`; 0 switches it off
     forward: float = non_negative(0.0)  # share of the neighbours' velocity, see `feed_forward`; 0 is the paper's law
-    gather: float = non_negative(0.0)  # 1/s, see `gather`; 0 is the paper's law
+    gather: float = non_negative(0.0)  # 1/s, see `cohesion`; 0 is the paper's law
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -73,25 +73,25 @@ def potential(lambda2: np.ndarray, scenario: Scenario, gains: Gains | None = Non
 
 @kernel
 def potential_slope(lambda2, p, g):
-    """dV/dlambda2 of `potential`, with lambda2 kept `clamp` above its asymptote."""
+    """dV/dlambda2 of `potential`, with lambda2 clamped to lambda2_min + clamp."""
     low, high = p.lambda2_min, p.lambda2_max
-    at = max(lambda2, low + g.clamp)
-    if at >= high:
+    value = max(lambda2, low + g.clamp)
+    if value >= high:
         return 0.0
-    return -g.k_v * (high - at) * (high + at - 2.0 * low) / (at - low) ** 2
+    return -g.k_v * (high - value) * (high + value - 2.0 * low) / (value - low) ** 2
 
 
 @kernel
-def maintain(own, neighbors, p, g):
+def connectivity_action(own, neighbors, p, g):
     """Velocity and yaw rate that raise lambda2 (5), before saturation: m/s and rad/s, yaw frame."""
-    return descend(own, neighbors, potential_slope(np.float64(own.lambda2_hat), p, g), p)
+    return descend_potential(own, neighbors, potential_slope(np.float64(own.lambda2_hat), p, g), p)
 
 
 @kernel
-def descend(own, neighbors, slope, p):
-    """-slope dlambda2/d(p_i, yaw_i), in the yaw frame of the robot: what moves it down a V(lambda2) of that slope.
+def descend_potential(own, neighbors, slope, p):
+    """-slope dlambda2/d(p_i, yaw_i): velocity and yaw rate down a V(lambda2) of that slope, in the robot's yaw frame.
 
-    dlambda2/dp_i = sum_j (v2_i - v2_j)^2 R_i^T dA_ij/dp_i, and alike for the yaw: (5) with (12), (13).
+    dlambda2/dp_i = sum_j (v2_i - v2_j)^2 R_i^T dA_ij/dp_i, and the same for the yaw: (5) with (12), (13).
     """
     vx = vy = vz = yaw_rate = 0.0
     oix, oiy, oiz = tilt(p.axis_x, p.axis_y, p.axis_z, np.float64(own.roll), np.float64(own.pitch))
@@ -99,7 +99,7 @@ def descend(own, neighbors, slope, p):
         row = neighbors[j]
         blind = row.f_ij == 0.0
         if row.present == 0.0 or (blind and row.yaw_valid == 0.0):
-            continue  # without a yaw, a robot that is only seen cannot tell which way to go
+            continue  # the gradient of a link that only j sees depends on the yaw of j
         ax, ay, az = tilt(p.axis_x, p.axis_y, p.axis_z, np.float64(row.roll), np.float64(row.pitch))
         c, s = np.float64(row.cos_yaw), np.float64(row.sin_yaw)
         ojx, ojy, ojz = c * ax - s * ay, s * ax + c * ay, az  # iR_j o_C
@@ -110,7 +110,7 @@ def descend(own, neighbors, slope, p):
             np.float64(row.distance),
         )
         if row.yaw_valid == 0.0:
-            ojx, ojy, ojz = bx, by, bz  # it looks away: were it mutual view, the yaw would be known
+            ojx, ojy, ojz = bx, by, bz  # j does not see i: in mutual view the yaw would be known
         gradient = weight_gradient(bx, by, bz, distance, oix, oiy, oiz, ojx, ojy, ojz, p.weight, p)  # (12), (13)
         gx, gy, gz, g_yaw = gradient
         difference = np.float64(own.v2_hat) - np.float64(row.v2_hat)
@@ -121,8 +121,8 @@ def descend(own, neighbors, slope, p):
 
 
 @kernel
-def repel(ranges, g):
-    """Repulsion from all range points (Sec. III-D), m/s, yaw frame."""
+def repulsion(ranges, g):
+    """Velocity away from all range points (Sec. III-D), m/s, yaw frame."""
     vx = vy = vz = 0.0
     for k in range(ranges.shape[0]):
         row = ranges[k]
@@ -140,14 +140,14 @@ def repel(ranges, g):
 
 
 @kernel
-def excite(neighbors, p, g):
-    """Forward velocity (m/s) of a robot that is watched by one it cannot see and does not know the yaw of.
+def excitation(neighbors, p, g):
+    """Forward velocity (m/s) of a robot that is seen by a robot which it does not see and whose yaw it does not know.
 
-    Beyond the paper: at standstill nothing tells the watcher that yaw, so the two would wait for each other for ever,
-    the operator pulling in vain. A few centimetres of motion make it observable (16), (21).
+    Not in the paper: at standstill the relative yaw is not observable, and both robots would wait for ever. A few
+    centimetres of motion make it observable (16), (21).
     """
     if p.relative_yaw == NONE:
-        return 0.0  # there is no estimator to excite
+        return 0.0  # without an estimator there is nothing to excite
     for j in range(neighbors.shape[0]):
         row = neighbors[j]
         if row.present > 0.0 and row.f_ij == 0.0 and row.f_ji > 0.0 and row.yaw_valid == 0.0:
@@ -156,8 +156,8 @@ def excite(neighbors, p, g):
 
 
 @kernel
-def gather(me, neighbors, p, g):
-    """Velocity (m/s, yaw frame) towards all neighbours farther than D1 whose bearing is known; the leader has none."""
+def cohesion(me, neighbors, p, g):
+    """Velocity (m/s, yaw frame) of a follower towards its neighbours beyond D1 whose bearing is known."""
     vx = vy = vz = 0.0
     for j in range(neighbors.shape[0] if g.gather > 0.0 and me.is_leader == 0.0 else 0):
         row = neighbors[j]
@@ -187,9 +187,9 @@ def feed_forward(neighbors, g):
 
 
 @kernel
-def up_to_stick(forward, wish, stick):
-    """Feed-forward, m/s, of which the part along the stick fills up what `wish` lacks of the stick's speed, no more."""
-    (fx, fy, fz), (wx, wy, wz), (sx, sy, sz) = forward, wish, stick
+def limit_feed_forward(forward, velocity, stick):
+    """Feed-forward, m/s, limited along the stick: there it adds at most what `velocity` lacks of the stick's speed."""
+    (fx, fy, fz), (wx, wy, wz), (sx, sy, sz) = forward, velocity, stick
     speed = math.sqrt(sx * sx + sy * sy + sz * sz)
     if speed == 0.0:
         return fx, fy, fz
@@ -208,13 +208,13 @@ def control(own, neighbors, ranges, params, gains, actions):
     for r in range(own.shape[0]):
         me = own[r]
         sx, sy, sz = np.float64(me.stick_x), np.float64(me.stick_y), np.float64(me.stick_z)
-        cx, cy, cz, yaw_rate = maintain(me, neighbors[r], p, g)
-        ox, oy, oz = repel(ranges[r], g)
-        cx += excite(neighbors[r], p, g)
-        gx, gy, gz = gather(me, neighbors[r], p, g)
+        cx, cy, cz, yaw_rate = connectivity_action(me, neighbors[r], p, g)
+        ox, oy, oz = repulsion(ranges[r], g)
+        cx += excitation(neighbors[r], p, g)
+        gx, gy, gz = cohesion(me, neighbors[r], p, g)
         wx, wy, wz = cx + ox + sx + gx, cy + oy + sy + gy, cz + oz + sz + gz
-        fx, fy, fz = up_to_stick(feed_forward(neighbors[r], g), (wx, wy, wz), (sx, sy, sz))
-        # of the sum: the operator cannot outvote a part of it
+        fx, fy, fz = limit_feed_forward(feed_forward(neighbors[r], g), (wx, wy, wz), (sx, sy, sz))
+        # the sum is saturated, not its terms: the operator cannot override one of them
         vx, vy, vz = saturate(wx + fx, wy + fy, wz + fz, p.speed_limit)
         actions[r, 0] = (vx - sx) / top  # the environment adds the stick again
         actions[r, 1] = (vy - sy) / top

@@ -1,18 +1,19 @@
-"""A filter around any policy: the smallest change of its action that does not let lambda2 sink below a bound.
+"""A safety filter for any policy: the smallest change of its action that keeps lambda2 above a bound.
 
-Closed form, from local estimates. With g_i = dlambda2/d(p_i, yaw_i) in the robot's own frame (`expert.descend`),
-lambda2 changes by sum_i g_i . u_i when the robots move with u_i = (velocity, yaw rate). It stays above a bound if
+Closed form, from local estimates. With g_i = dlambda2/d(p_i, yaw_i) in the robot's own frame, see
+`expert.descend_potential`, lambda2 changes by sum_i g_i . u_i when the robots move with u_i = (velocity, yaw rate). It
+stays above a bound if
 
     sum_i g_i . u_i >= -alpha (lambda2 - bound),
 
 a control barrier function: Capelli and Sabattini, "Connectivity maintenance: global and optimized approach through
-control barrier functions", ICRA 2020, for discs; here with the paper's weights (6). Each robot takes a share of it,
+control barrier functions", ICRA 2020, for discs; here with the paper's weights (6). Each robot keeps its share of it,
 
     g_i . u_i >= -alpha (lambda2_hat - bound) / N,    bound = lambda2_min + margin,
 
-so that nobody needs another's action, and flies the u_i nearest to what its policy wants among those that keep it,
-within the limits of speed and yaw rate. Distance is in shares of these limits; the stick is part of a leader's motion.
-Where no limit is met, that is u + g' max(0, lack) / (g . g'), g' = g in units of the squared limits.
+so that no robot needs another's action. It flies the u_i that keeps this and the limits of speed and yaw rate and is
+nearest to its policy's action. Distance is in shares of these limits; the stick is part of a leader's motion. Where no
+limit is active, that is u + g' max(0, lack) / (g . g'), g' = g in units of the squared limits.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fovconn_env.baselines.laws.expert import descend
+from fovconn_env.baselines.laws.expert import descend_potential
 from fovconn_env.baselines.policy import Policy
 from fovconn_env.errors import check_numbers, non_negative, positive
 from fovconn_env.kernel.jit import entry, kernel
@@ -30,15 +31,15 @@ from fovconn_env.layout import rows
 from fovconn_env.scenarios.scenario import Scenario
 
 PREFIX = "safe:"
-_GROWTHS, _STEPS = 20, 60  # by a factor of 4, then of bisection: to the last bit
+_GROWTHS, _BISECTIONS = 20, 60  # steps by a factor of 4, then of bisection: to the last bit
 
 
 @dataclass(frozen=True, kw_only=True)
 class Barrier:
-    """How near to its bound lambda2 may come, and how fast."""
+    """Settings of the barrier: distance to the bound of lambda2, and speed of approach."""
 
-    alpha: float = positive(4.0)  # 1/s, the distance to the bound shrinks no faster than e^(-alpha t)
-    margin: float = non_negative(0.3)  # the bound is this far above lambda2_min: estimates lag
+    alpha: float = positive(4.0)  # 1/s, the distance to the bound decays at most as e^(-alpha t)
+    margin: float = non_negative(0.3)  # the bound is lambda2_min + margin: estimates lag
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -56,7 +57,7 @@ class Safe(Policy):
 
     @classmethod
     def tag(cls) -> str:
-        """That of the policy within."""
+        """The tag of the filtered policy."""
         return cls.inner.tag()
 
     def decide(self, flat: np.ndarray) -> np.ndarray:
@@ -69,37 +70,37 @@ class Safe(Policy):
 
 
 def safe(kind: type[Policy], name: str | None = None) -> type[Safe]:
-    """The class of a policy, called `name` in tables, with the filter around it."""
-    told = {"inner": kind, "overrides": kind.overrides, "oracle": kind.oracle, "__doc__": f"{kind.__doc__} Filtered."}
-    return type(f"safe-{name or kind.__name__}", (Safe,), {**told, "__module__": __name__})
+    """A policy class with the filter around it, called `name` in tables."""
+    fields = {"inner": kind, "overrides": kind.overrides, "oracle": kind.oracle, "__doc__": f"{kind.__doc__} Filtered."}
+    return type(f"safe-{name or kind.__name__}", (Safe,), {**fields, "__module__": __name__})
 
 
 class Filter:
-    """The filter alone, for actions from anywhere: `Filter(scenario)(observations, actions)`."""
+    """The filter alone, for any actions: `Filter(scenario)(observations, actions)`."""
 
     def __init__(self, scenario: Scenario, barrier: Barrier | None = None) -> None:
         self.scenario, self.barrier = scenario, barrier or Barrier()
         self._params = scenario.params()
 
     def __call__(self, flat: np.ndarray, actions: np.ndarray) -> np.ndarray:
-        """Actions (R, 4) as near to the given ones as the bound allows, from flat observations (R, D)."""
+        """The nearest actions (R, 4) to the given ones that keep the bound, from flat observations (R, D)."""
         own, neighbors, _ = rows(flat, self.scenario.max_neighbors, self.scenario.max_ranges)
         filtered = actions.astype(np.float32)
         bound = self.scenario.lambda2_min + self.barrier.margin
         limits = (bound, self.barrier.alpha / self.scenario.n_agents)
-        hold(own, neighbors, self._params, limits, filtered)
+        filter_actions(own, neighbors, self._params, limits, filtered)
         return filtered
 
 
 @entry
-def hold(own, neighbors, params, limits, actions):
-    """Filter actions (R, 4) in place; limits: bound of lambda2, and share of its distance to be spent a second."""
+def filter_actions(own, neighbors, params, limits, actions):
+    """Filter actions (R, 4) in place. limits: bound of lambda2, and alpha / N (1/s), a robot's share of its decay."""
     p = params[0]
     bound, rate = limits
     top = p.speed_limit + p.stick_speed
     for r in range(own.shape[0]):
         me, action = own[r], actions[r]
-        g = descend(me, neighbors[r], -1.0, p)
+        g = descend_potential(me, neighbors[r], -1.0, p)
         least = -rate * (np.float64(me.lambda2_hat) - bound)
         sx, sy, sz = np.float64(me.stick_x), np.float64(me.stick_y), np.float64(me.stick_z)
         vx, vy, vz = (
@@ -107,54 +108,54 @@ def hold(own, neighbors, params, limits, actions):
             np.float64(action[1]) * top + sy,
             np.float64(action[2]) * top + sz,
         )
-        u = limited(vx, vy, vz, np.float64(action[3]) * p.yaw_rate_limit, p)
-        if rise(g, u) >= least:
+        u = limit_motion(vx, vy, vz, np.float64(action[3]) * p.yaw_rate_limit, p)
+        if lambda2_rate(g, u) >= least:
             continue
-        vx, vy, vz, yaw_rate = nearest(u, g, least, p)
+        vx, vy, vz, yaw_rate = nearest_safe_motion(u, g, least, p)
         action[0], action[1], action[2] = (vx - sx) / top, (vy - sy) / top, (vz - sz) / top
         action[3] = yaw_rate / p.yaw_rate_limit
 
 
 @kernel
-def rise(g, u):
-    """Rate of lambda2 (1/s) that a robot's motion u = (velocity, yaw rate) makes, g its gradient."""
+def lambda2_rate(g, u):
+    """Rate of lambda2 (1/s) due to a robot's motion u = (velocity, yaw rate), g its gradient."""
     return g[0] * u[0] + g[1] * u[1] + g[2] * u[2] + g[3] * u[3]
 
 
 @kernel
-def limited(vx, vy, vz, yaw_rate, p):
-    """A motion within the limits of speed and yaw rate, as the environment executes it."""
+def limit_motion(vx, vy, vz, yaw_rate, p):
+    """A motion saturated to the limits of speed and yaw rate, as the environment does it."""
     vx, vy, vz = saturate(vx, vy, vz, p.speed_limit)
     return vx, vy, vz, min(max(yaw_rate, -p.yaw_rate_limit), p.yaw_rate_limit)
 
 
 @kernel
-def along(u, g, mu, p):
-    """The motion u moved by mu along g in units of the squared limits, within the limits."""
+def shift_motion(u, g, mu, p):
+    """The motion u shifted by mu along g, in units of the squared limits, then saturated to the limits."""
     v, w = mu * p.speed_limit * p.speed_limit, mu * p.yaw_rate_limit * p.yaw_rate_limit
-    return limited(u[0] + v * g[0], u[1] + v * g[1], u[2] + v * g[2], u[3] + w * g[3], p)
+    return limit_motion(u[0] + v * g[0], u[1] + v * g[1], u[2] + v * g[2], u[3] + w * g[3], p)
 
 
 @kernel
-def nearest(u, g, least, p):
-    """The motion within the limits nearest to u with g . u >= least, or, where there is none, with the greatest g . u.
+def nearest_safe_motion(u, g, least, p):
+    """The motion within the limits nearest to u with g . u >= least; if there is none, the one with the greatest g . u.
 
-    Karush, Kuhn and Tucker: it is `along` with the smallest mu >= 0 that does, and g . u grows with mu.
+    Karush, Kuhn and Tucker: it is `shift_motion` with the smallest mu >= 0 that keeps this, and g . u grows with mu.
     """
     v2, w2 = p.speed_limit * p.speed_limit, p.yaw_rate_limit * p.yaw_rate_limit
     size = v2 * (g[0] * g[0] + g[1] * g[1] + g[2] * g[2]) + w2 * g[3] * g[3]
     if size < 1e-12:
-        return u  # whatever it does, it does not change lambda2
-    low, high = 0.0, (least - rise(g, u)) / size  # enough, unless a limit takes of it
+        return u  # no motion of this robot changes lambda2
+    low, high = 0.0, (least - lambda2_rate(g, u)) / size  # enough, unless a limit is active
     for _ in range(_GROWTHS):
-        if rise(g, along(u, g, high, p)) >= least:
+        if lambda2_rate(g, shift_motion(u, g, high, p)) >= least:
             break
         low, high = high, 4.0 * high
     if low > 0.0:
-        for _ in range(_STEPS):
+        for _ in range(_BISECTIONS):
             middle = 0.5 * (low + high)
-            if rise(g, along(u, g, middle, p)) >= least:
+            if lambda2_rate(g, shift_motion(u, g, middle, p)) >= least:
                 high = middle
             else:
                 low = middle
-    return along(u, g, high, p)
+    return shift_motion(u, g, high, p)

@@ -1,6 +1,6 @@
-"""What learned policies make of an observation and of an action: scales that fit any team and any scenario.
+"""Scales of the inputs and outputs of learned policies; they fit any team and any scenario.
 
-Used by the networks that are trained (`networks`, torch) and by the kernel that flies them (`learned`).
+Used by the networks in training (`networks`, torch) and by the kernel that runs them (`policy`).
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from fovconn_env.scenarios.scenario import Scenario
 
 OWN, ROW, POINT = len(layout.SELF), len(layout.NEIGHBOR), len(layout.RANGE)
 ACTION = len(layout.ACTION)
-EMPHASIS = 2  # columns more of the own row, see `emphasis`
+EMPHASIS = 2  # extra columns of the own row, see `networks.emphasis`
 LAMBDA2 = [column.name for column in layout.SELF].index("lambda2_hat")
 LEADER = [column.name for column in layout.SELF].index("is_leader")
-SHARE = 0.3  # of a sum over rows, so that three rows make about one
+SHARE = 0.3  # factor of a sum over rows: three rows give about one
 
-# Bounds of the layout by scale, and columns that stay far within theirs. Constants: they do not follow N or a scenario.
+# Bounds of the layout by scale, and narrower ones of some columns. Constants: the same for all N and scenarios.
 _BOUNDS = {**Scenario().scales(), "lambda2": 3.0, "speed": 1.5, "turn": 1.0}
 _NARROW = {"v2_hat": 0.5, "roll": 0.3, "pitch": 0.3}
 
 
 def full_scale(scenario: Scenario) -> np.ndarray:
-    """What an action of 1 is: m/s, m/s, m/s and rad/s, (4,) float32."""
+    """Velocity and yaw rate of an action of 1: m/s, m/s, m/s and rad/s, (4,) float32."""
     top = scenario.speed_limit + scenario.stick_speed
     return np.array([top, top, top, scenario.yaw_rate_limit], np.float32)
 
@@ -34,7 +34,7 @@ UNITS = full_scale(Scenario())  # one unit of a network's output: 2.5 m/s, 1 rad
 
 
 def scales(max_neighbors: int, max_ranges: int, extra: int = 0) -> np.ndarray:
-    """What the columns of a flat observation, and `extra` more, are divided by, (D + extra,) float32."""
+    """Divisors of the columns of a flat observation and of `extra` more columns, (D + extra,) float32."""
 
     def of(table: tuple[layout.Column, ...]) -> list[float]:
         highs: list[float] = layout.bounds(table, _BOUNDS)[1].astype(float).tolist()
@@ -45,18 +45,18 @@ def scales(max_neighbors: int, max_ranges: int, extra: int = 0) -> np.ndarray:
 
 
 def gain(scenario: Scenario) -> np.ndarray:
-    """Shares of an action that one unit of a network's output is, (4,) float32."""
+    """Action per unit of a network's output, (4,) float32."""
     return UNITS / full_scale(scenario)
 
 
 def columns() -> dict[str, list[str]]:
-    """Names of the columns of an observation, as a card lists them."""
+    """Names of the columns of observations and actions by table, for a card."""
     tables = {"self": layout.SELF, "neighbor": layout.NEIGHBOR, "range": layout.RANGE, "action": layout.ACTION}
     return {key: [column.name for column in table] for key, table in tables.items()}
 
 
 def fingerprint() -> str:
-    """Hash of all that a network's numbers mean: columns with unit and frame, scales, units of the output."""
+    """Hash of the meaning of a network's numbers: columns with unit and frame, scales, units of the output."""
     tables = (layout.SELF, layout.NEIGHBOR, layout.RANGE, layout.ACTION)
     meaning = [[(column.name, column.unit, column.frame) for column in table] for table in tables]
     numbers = [*scales(1, 1).tolist(), LAMBDA2, SHARE, *UNITS.tolist()]

@@ -1,7 +1,7 @@
 """Networks that treat neighbours and range points as sets, so that one policy fits any N and any order of rows.
 
-Needs torch. The encoders are features extractors for Stable-Baselines3 (`features_extractor_class`); what comes out of
-a training is flown by `learned`, without torch. Scales and units: `inputs`.
+Needs torch. The encoders are features extractors for Stable-Baselines3 (`features_extractor_class`). A trained network
+is run by `policy`, without torch. Scales and units: `inputs`.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from fovconn_env.baselines.learned.inputs import EMPHASIS, LAMBDA2, OWN, POINT, 
 
 
 def emphasis(lambda2: torch.Tensor) -> torch.Tensor:
-    """lambda2_hat (R, 1) spread out near 0, where V' is steep: its logarithm and its inverse, (R, 2)."""
+    """Logarithm and inverse of lambda2_hat (R, 1), (R, 2): they resolve values near 0, where V is steep."""
     low = lambda2.clamp(min=0.0)
     return torch.cat([0.5 * torch.log(low + 0.05), 0.2 / (low + 0.1)], dim=1)
 
 
 class Encoder(nn.Module):
-    """What the encoders share: flat observations (R, D + extra), scaled. The extra columns are more of the own row."""
+    """Base of the encoders of scaled flat observations (R, D + extra). The extra columns belong to the own row."""
 
     def __init__(self, observation_space: spaces.Box, max_neighbors: int, extra: int) -> None:
         super().__init__()
@@ -35,8 +35,8 @@ class Encoder(nn.Module):
             )
         self.own_size = OWN + EMPHASIS + extra
         self.scales: torch.Tensor
-        found = torch.from_numpy(scales(max_neighbors, self.max_ranges, extra))
-        self.register_buffer("scales", found, persistent=False)
+        divisors = torch.from_numpy(scales(max_neighbors, self.max_ranges, extra))
+        self.register_buffer("scales", divisors, persistent=False)
 
 
 class SetEncoder(Encoder):
@@ -62,9 +62,9 @@ class SetEncoder(Encoder):
         silu, scaled = nn.functional.silu, flat / self.scales
         first, last = OWN + self.max_neighbors * ROW, scaled.shape[1] - self.extra
         own = torch.cat([scaled[:, :OWN], emphasis(flat[:, LAMBDA2 : LAMBDA2 + 1]), scaled[:, last:]], dim=1)
-        robot, rows = _used(scaled[:, OWN:first].unflatten(1, (self.max_neighbors, ROW)))
+        robot, rows = _used_rows(scaled[:, OWN:first].unflatten(1, (self.max_neighbors, ROW)))
         terms = silu(self.term(silu(self.row(rows) + self.own(own).index_select(0, robot))))
-        owner, points = _used(scaled[:, first:last].unflatten(1, (self.max_ranges, POINT)))
+        owner, points = _used_rows(scaled[:, first:last].unflatten(1, (self.max_ranges, POINT)))
         spots = silu(self.spot(silu(self.point(points))))
         sums = [
             SHARE * part.new_zeros(len(flat), part.shape[1]).index_add(0, at, part)
@@ -74,7 +74,7 @@ class SetEncoder(Encoder):
 
 
 class FlatEncoder(Encoder):
-    """The scaled observation as it is, for a plain multi-layer perceptron: to compare with."""
+    """The scaled observation, for a plain multi-layer perceptron to compare with."""
 
     def __init__(self, observation_space: spaces.Box, max_neighbors: int = 8, extra: int = 0) -> None:
         super().__init__(observation_space, max_neighbors, extra)
@@ -88,7 +88,7 @@ class FlatEncoder(Encoder):
 ENCODERS: dict[str, type[Encoder]] = {"set": SetEncoder, "mlp": FlatEncoder}
 
 
-def _used(rows: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Robots (K,) and rows (K, n) of the K rows in use of (R, M, n), robot by robot: the rest costs nothing."""
-    robot, place = torch.nonzero(rows[..., 0], as_tuple=True)
-    return robot, rows[robot, place]
+def _used_rows(rows: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Robots (K,) and rows (K, n) of the K used rows of (R, M, n), in order of robots; unused rows cost no time."""
+    robot, index = torch.nonzero(rows[..., 0], as_tuple=True)
+    return robot, rows[robot, index]

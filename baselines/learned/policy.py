@@ -1,9 +1,9 @@
-"""Learned policies, flown by a kernel: the same bits alone, in a batch and in any process, and no torch needed.
+"""Learned policies, run by a kernel without torch: the same bits alone, in a batch and in any process.
 
-A policy is a file of weights and a card (`cards`); `training` makes them. A network's outputs are m/s and rad/s in
-units of `inputs.gain`. Alone they are the action; with a base law, its name on the card, they are a correction:
-action = clip(base action + gain bound clip(output, -1, 1), -1, 1), and the base's action is part of the own row. The
-leader flies the base law: a correction may be larger than the stick, and would hold the team against the operator.
+A policy is a file of weights and a card (`cards`), written by `training`. A network's outputs are m/s and rad/s in
+units of `inputs.gain`. Without a base law they are the action. With a base law, named on the card, they are a
+correction: action = clip(base action + gain bound clip(output, -1, 1), -1, 1), and the base's action is part of the own
+row. The leader uses the base law alone: a correction may exceed the stick and hold the team back against the operator.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from fovconn_env.scenarios.scenario import Scenario
 
 _ONE = np.float32(1.0)
 _HALF = np.float32(0.5)
-_STEEP = np.float32(7.90531)  # from where on tanh is 1 in float32
-# tanh(u) = u above(u^2) / below(u^2), coefficients of Eigen's, highest power first
+_TANH_IS_ONE = np.float32(7.90531)  # tanh(u) is 1 in float32 for all larger u
+# tanh(u) = u numerator(u^2) / denominator(u^2), coefficients of Eigen's, highest power first
 A0, A1, A2, A3 = np.array(
     [-2.76076847742355e-16, 2.00018790482477e-13, -8.60467152213735e-11, 5.12229709037114e-08], np.float32
 )
@@ -72,7 +72,7 @@ class Head(NamedTuple):
 class Learned(Policy):
     """A policy trained on this environment (docs/training.md), or a base law with a learned correction.
 
-    A subclass names its `file`; see `from_file`.
+    A subclass has the `file` of its weights; see `from_file`.
     """
 
     file: ClassVar[Path]
@@ -109,7 +109,7 @@ class Learned(Policy):
             return np.clip(outputs * self._gain, -_ONE, _ONE)
         action = self._base.decide(flat)
         self._run(flat, action / self._gain, outputs)
-        return corrected(flat, action, outputs, self._gain, self.card.bound)
+        return correct_actions(flat, action, outputs, self._gain, self.card.bound)
 
     def _run(self, flat: np.ndarray, base: np.ndarray, outputs: np.ndarray) -> None:
         if self.card.network == "mlp":
@@ -120,25 +120,30 @@ class Learned(Policy):
         )
 
 
-def corrected(flat: np.ndarray, action: np.ndarray, outputs: np.ndarray, unit: np.ndarray, bound: float) -> np.ndarray:
-    """A base law's actions (R, 4) with the network's corrections of all but leaders; unit (4,) is `inputs.gain`."""
+def correct_actions(
+    flat: np.ndarray, action: np.ndarray, outputs: np.ndarray, unit: np.ndarray, bound: float
+) -> np.ndarray:
+    """A base law's actions (R, 4), corrected by the network's outputs (R, 4) for all robots but the leader.
+
+    unit: (4,), `inputs.gain`. bound: greatest correction in that unit.
+    """
     bounds = np.where(flat[:, LEADER, None] > 0.0, np.float32(0.0), np.float32(bound))
     return np.clip(action + unit * bounds * np.clip(outputs, -_ONE, _ONE), -_ONE, _ONE)
 
 
 def from_file(file: Path, name: str | None = None) -> type[Learned]:
-    """The policy class of a file of weights; it is read when the first one is made."""
+    """The policy class of a file of weights; the file is read with the first instance."""
     return type(name or file.stem, (Learned,), {"file": file, "__doc__": Learned.__doc__, "__module__": __name__})
 
 
 def load(file: Path) -> tuple[Card, Encoder, Head]:
-    """Card and weights of a file, read once while it stays the same. Raises `ValueError` as `cards.read`."""
-    stamp = tuple(part.stat().st_mtime_ns if part.is_file() else 0 for part in (file, file.with_suffix(".json")))
-    return _load(file, stamp)
+    """Card and weights of a file, cached until the file changes. Raises `ValueError` as `cards.read`."""
+    mtimes = tuple(part.stat().st_mtime_ns if part.is_file() else 0 for part in (file, file.with_suffix(".json")))
+    return _load(file, mtimes)
 
 
 @functools.lru_cache(maxsize=8)
-def _load(file: Path, stamp: tuple[int, ...]) -> tuple[Card, Encoder, Head]:
+def _load(file: Path, mtimes: tuple[int, ...]) -> tuple[Card, Encoder, Head]:
     card, arrays = read(file, {"mlp": Head._fields, "set": Encoder._fields + Head._fields})
     empty = np.zeros((0, 0), np.float32)
     encoder = Encoder(*(arrays.get(name, empty) for name in Encoder._fields))
@@ -148,15 +153,15 @@ def _load(file: Path, stamp: tuple[int, ...]) -> tuple[Card, Encoder, Head]:
 # ---------------------------------------------------------------------------------------------------------- kernels
 @kernel
 def affine(x, matrix, bias, out):
-    """out = x matrix + bias, summed in the order of x: the same bits however many rows there are."""
+    """out = x matrix + bias, summed in the order of x: the same bits for any number of rows."""
     for k in range(out.shape[0]):
         out[k] = bias[k]
-    add(x, matrix, out)
+    add_product(x, matrix, out)
 
 
 @kernel
-def add(x, matrix, out):
-    """out += x matrix, in the order of x; four at a time, which saves three of four writes."""
+def add_product(x, matrix, out):
+    """out += x matrix, in the order of x; four terms at a time save three of four writes."""
     n = x.shape[0] - x.shape[0] % 4
     for c in range(0, n, 4):
         x0, x1, x2, x3 = x[c], x[c + 1], x[c + 2], x[c + 3]
@@ -173,44 +178,45 @@ def add(x, matrix, out):
 def silu(x):
     """x / (1 + exp(-x)) in place, as x / 2 (1 + tanh(x / 2)) with a quotient of polynomials, to 2e-7 of 1 + |x|.
 
-    A loop of sums and products is one of vector instructions, exp is a call for each number, and another one on
-    another system: the same bits everywhere, in a third of the time. Coefficients: Eigen, float tanh.
+    Sums and products compile to vector instructions; exp is a library call for each number and differs between systems.
+    So this gives the same bits everywhere, in a third of the time. Coefficients: Eigen, float tanh.
     """
     for k in range(x.shape[0]):
         half = _HALF * x[k]
-        u = min(max(half, -_STEEP), _STEEP)
+        u = min(max(half, -_TANH_IS_ONE), _TANH_IS_ONE)
         v = u * u
-        above = (((((A0 * v + A1) * v + A2) * v + A3) * v + A4) * v + A5) * v + A6
-        below = ((B0 * v + B1) * v + B2) * v + B3
-        x[k] = half + half * np.divide(u * above, below)  # `/` would look for a zero each time
+        numerator = (((((A0 * v + A1) * v + A2) * v + A3) * v + A4) * v + A5) * v + A6
+        denominator = ((B0 * v + B1) * v + B2) * v + B3
+        x[k] = half + half * np.divide(u * numerator, denominator)  # `/` would test for zero each time
 
 
 @kernel
-def gather(flat, base, scale, own):
-    """The own row of the set network: scaled columns, lambda2_hat spread out near 0 (`networks.emphasis`), extra."""
+def write_own_row(flat, base, scale, own):
+    """Write the own row of the set network: scaled columns, `networks.emphasis` of lambda2_hat, extra columns."""
     for c in range(OWN):
         own[c] = flat[c] / scale[c]
-    spread(flat[LAMBDA2], own[OWN:])
+    write_emphasis(flat[LAMBDA2], own[OWN:])
     for c in range(base.shape[0]):
         own[OWN + EMPHASIS + c] = base[c]
 
 
 @kernel
-def spread(lambda2, out):
-    """`networks.emphasis` of one robot."""
+def write_emphasis(lambda2, out):
+    """Write `networks.emphasis` of one robot, (2,)."""
     low = max(lambda2, np.float32(0.0))
     out[0] = np.float32(0.5) * np.float32(math.log(low + np.float32(0.05)))
     out[1] = np.float32(0.2) / (low + np.float32(0.1))
 
 
 @kernel
-def collect(rows, size, layers, scratch, total):
-    """Add SHARE second(silu(first(row))) of every row in use to total (W,); rows (M size,) are scaled by now.
+def sum_set(rows, size, layers, scratch, total):
+    """Write SHARE times the sum of silu(second(silu(first(row)))) over the used rows to total (W,).
 
-    layers: what `first` starts from (W,), `first` (size, W), `second` (W, W) and its bias. scratch: (2, W) or wider.
+    rows: (M size,), scaled. layers: bias of `first` (W,), `first` (size, W), `second` (W, W) and its bias. scratch:
+    (2, W) or wider.
     """
     start, first, second, second_bias = layers
-    one, two = scratch[0, : total.shape[0]], scratch[1, : total.shape[0]]  # each known to be contiguous
+    one, two = scratch[0, : total.shape[0]], scratch[1, : total.shape[0]]  # numba knows that both are contiguous
     for c in range(total.shape[0]):
         total[c] = 0.0
     for j in range(rows.shape[0] // size):
@@ -228,8 +234,8 @@ def collect(rows, size, layers, scratch, total):
 
 
 @kernel
-def finish(features, head, scratch, out):
-    """out (4,) from the features, through the head."""
+def apply_head(features, head, scratch, out):
+    """Write the head's output (4,) for the features."""
     one, two = scratch[0, : head.first.shape[1]], scratch[1, : head.second.shape[1]]
     affine(features, head.first, head.first_bias, one)
     silu(one)
@@ -247,14 +253,14 @@ def run_set(flat, base, max_neighbors, scale, encoder, head, scratch, outputs):
     own, terms, points = features[:n_own], features[n_own : n_own + width], features[n_own + width :]
     for r in range(flat.shape[0]):
         for c in range(OWN, flat.shape[1]):
-            scaled[c] = np.divide(flat[r, c], scale[c])  # `/` would look for a zero each time
-        gather(flat[r], base[r], scale, own)
+            scaled[c] = np.divide(flat[r, c], scale[c])  # `/` would test for zero each time
+        write_own_row(flat[r], base[r], scale, own)
         affine(own, encoder.own, encoder.row_bias, begin)
         layers = (begin, encoder.row, encoder.term, encoder.term_bias)
-        collect(scaled[OWN:first], ROW, layers, scratch[5:7], terms)
+        sum_set(scaled[OWN:first], ROW, layers, scratch[5:7], terms)
         layers = (encoder.point_bias, encoder.point, encoder.spot, encoder.spot_bias)
-        collect(scaled[first:], encoder.point.shape[0], layers, scratch[5:7], points)
-        finish(features, head, scratch[:2], outputs[r])
+        sum_set(scaled[first:], encoder.point.shape[0], layers, scratch[5:7], points)
+        apply_head(features, head, scratch[:2], outputs[r])
 
 
 @entry
@@ -267,5 +273,5 @@ def run_flat(flat, base, scale, head, scratch, outputs):
             features[c] = flat[r, c] / scale[c]
         for c in range(extra):
             features[size + c] = base[r, c]
-        spread(flat[r, LAMBDA2], features[size + extra :])
-        finish(features, head, scratch[:2], outputs[r])
+        write_emphasis(flat[r, LAMBDA2], features[size + extra :])
+        apply_head(features, head, scratch[:2], outputs[r])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fovconn_env.baselines import Augmented, AugmentedGains, Cohesive, CohesiveGains, Expert, Gains
-from fovconn_env.baselines.laws.expert import control, up_to_stick
+from fovconn_env.baselines.laws.expert import control, limit_feed_forward
 from fovconn_env.scenarios.presets import scenario
 from fovconn_env.sim.simulator import Simulator
 from fovconn_env.training.evaluation import evaluate, summary
@@ -106,7 +106,7 @@ def test_feed_forward_fills_up_to_the_stick_and_no_more():
     rng = np.random.default_rng(4)
     for _ in range(200):
         f, wish, stick = rng.normal(size=(3, 3))
-        got = np.array(up_to_stick(tuple(f), tuple(wish), tuple(stick)))
+        got = np.array(limit_feed_forward(tuple(f), tuple(wish), tuple(stick)))
         speed = np.linalg.norm(stick)
         s = stick / speed
         np.testing.assert_allclose(np.cross(got, s), np.cross(f, s), rtol=0, atol=1e-12)  # across: untouched
@@ -114,7 +114,7 @@ def test_feed_forward_fills_up_to_the_stick_and_no_more():
         assert (wish + got) @ s <= max(speed, wish @ s) + 1e-12
         if f @ s <= 0.0 or (wish + f) @ s <= speed:
             np.testing.assert_allclose(got, f, rtol=0, atol=1e-12)
-        assert up_to_stick(tuple(f), tuple(wish), (0.0, 0.0, 0.0)) == tuple(f)
+        assert limit_feed_forward(tuple(f), tuple(wish), (0.0, 0.0, 0.0)) == tuple(f)
 
 
 @pytest.mark.nojit

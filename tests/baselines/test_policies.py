@@ -10,7 +10,7 @@ import pytest
 from fovconn_env import layout, scenario
 from fovconn_env.baselines import POLICIES, Expert, Policy, find_policy, load_policy
 from fovconn_env.baselines.laws.recovery import Recovery
-from fovconn_env.baselines.laws.simple import Follow, Random, Springs, Zero, look, total
+from fovconn_env.baselines.laws.simple import Follow, Random, Springs, Zero, sum_rows, turn_camera
 from fovconn_env.baselines.learned.policy import Learned
 from fovconn_env.baselines.policy import scenario_of
 from fovconn_env.scenarios.settings import Camera
@@ -162,7 +162,7 @@ def test_look_turns_the_camera_not_the_nose():
     axis = Camera().unit_axis  # 45 deg left of the nose
     aims = {(1, 1, 0): 0.0, (1, 0, 0): -HALF, (0, 1, 0): HALF, (-1, 0, 0): 1.0, (0, -1, 0): -1.0, (-1, -1, 0): 1.0}
     aims |= {(0, 0, 0): 1.0, (0, 0, 1): 0.0, (0.5, 0, 3): -HALF}
-    np.testing.assert_allclose(look(np.array([*aims], float), axis), [*aims.values()], atol=1e-15)
+    np.testing.assert_allclose(turn_camera(np.array([*aims], float), axis), [*aims.values()], atol=1e-15)
 
 
 def test_total_adds_in_order():
@@ -170,7 +170,7 @@ def test_total_adds_in_order():
     expected = np.zeros((5, 3))
     for m in range(8):
         expected += rows[:, m]
-    np.testing.assert_array_equal(total(rows), expected)
+    np.testing.assert_array_equal(sum_rows(rows), expected)
 
 
 def test_follow():

@@ -8,8 +8,8 @@ from scipy.optimize import minimize
 
 from fovconn_env import Simulator, layout, scenario
 from fovconn_env.baselines import POLICIES, Expert, Policy, find_policy, load_policy
-from fovconn_env.baselines.laws.expert import descend
-from fovconn_env.baselines.laws.safety import Barrier, Filter, Safe, nearest, safe
+from fovconn_env.baselines.laws.expert import descend_potential
+from fovconn_env.baselines.laws.safety import Barrier, Filter, Safe, nearest_safe_motion, safe
 from fovconn_env.baselines.laws.simple import Zero
 from fovconn_env.kernel.jit import entry
 from tests import reference as ref
@@ -23,14 +23,14 @@ EXACT = {"lambda2": "true", "relative_yaw": "true"}
 @entry
 def gradients(own, neighbors, params, out):
     for r in range(own.shape[0]):
-        g = descend(own[r], neighbors[r], -1.0, params[0])
+        g = descend_potential(own[r], neighbors[r], -1.0, params[0])
         for k in range(4):
             out[r, k] = g[k]
 
 
 @entry
 def projected(u, g, least, params, out):
-    found = nearest((u[0], u[1], u[2], u[3]), (g[0], g[1], g[2], g[3]), least, params[0])
+    found = nearest_safe_motion((u[0], u[1], u[2], u[3]), (g[0], g[1], g[2], g[3]), least, params[0])
     for k in range(4):
         out[k] = found[k]
 

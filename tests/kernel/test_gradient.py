@@ -32,7 +32,7 @@ def gradient(b, d, o_i, o_j, p, out):
 @entry
 def descend(own, neighbors, params, gains, out):
     for i in range(len(own)):
-        out[i] = expert.maintain(own[i], neighbors[i], params[0], gains[0])
+        out[i] = expert.connectivity_action(own[i], neighbors[i], params[0], gains[0])
 
 
 def moved(pose, k, step):

@@ -15,7 +15,7 @@ from fovconn_env import Scenario, Simulator
 from fovconn_env.baselines.laws.safety import Filter
 from fovconn_env.baselines.learned.cards import BASES
 from fovconn_env.baselines.learned.inputs import ACTION, gain
-from fovconn_env.baselines.learned.policy import corrected
+from fovconn_env.baselines.learned.policy import correct_actions
 from fovconn_env.errors import check_count, rule
 from fovconn_env.flights.state_hash import frozen_dtypes
 from fovconn_env.training.sb3 import EPISODE_KEYS, RobotsVecEnv
@@ -28,7 +28,7 @@ class Rows(VecEnv):
     """Robots of B worlds, shared out among scenarios, as the rows of one SB3 `VecEnv`; one policy flies all of them.
 
     Actions are in units of `inputs.gain`: the same number is the same velocity in every scenario. With a base law, its
-    actions are columns more of an observation, and an action is a correction of at most `bound` (`learned.corrected`).
+    actions are columns more of an observation, and an action is a correction of at most `bound` (`correct_actions`).
     `filtered` puts the safety filter on what is flown; rewards are multiplied by `reward`. An episode that ends leaves
     its outcome in `ended`.
     """
@@ -157,7 +157,7 @@ class Rows(VecEnv):
         outputs, unit = self._actions[self.slices[k]], self.gains[k]
         if self._bases:
             base = self.observations[self.slices[k], -ACTION:] * unit
-            actions = corrected(self.observations[self.slices[k]], base, outputs, unit, self.bound)
+            actions = correct_actions(self.observations[self.slices[k]], base, outputs, unit, self.bound)
         else:
             actions = np.clip(outputs * unit, -1.0, 1.0)
         return self._filters[k](self.flat(k), actions) if self._filters else actions
