@@ -155,16 +155,12 @@ def _flatten_path(text: str, tolerance: float, max_corners: int) -> list[np.ndar
     for k, segment in enumerate(path):
         bound = _curvature_bound(segment)
         rule(bool(np.isfinite([segment.end, bound]).all()), "its coordinates", "finite", Short(text), "user units")
-        count = max(
-            1, math.ceil(math.sqrt(bound / (8.0 * tolerance)))
-        )  # n chords: within bound / (8 n^2) of it
+        count = max(1, math.ceil(math.sqrt(bound / (8.0 * tolerance))))  # n chords: within bound / (8 n^2) of it
         hint = "simplify it, or draw it as several elements"
         rule(len(corners) + count <= max_corners + 1, "its outline", f"of at most {max_corners} corners", "more", hint)
         corners += [segment.point(share) for share in np.linspace(0.0, 1.0, count + 1)[1:-1]] + [segment.end]
         gap = abs(segment.end - corners[0])
-        last = (
-            k + 1 == len(path) or path[k + 1].start != segment.end
-        )  # svgpathtools does not mark where outlines end
+        last = k + 1 == len(path) or path[k + 1].start != segment.end  # svgpathtools does not mark where outlines end
         if last or (gap == 0.0 and any(corner != corners[0] for corner in corners)):
             hint = f"it ends {gap:g} from its start: close it with Z"
             rule(bool(gap <= tolerance), "its outline", "closed", Short(text), hint)
