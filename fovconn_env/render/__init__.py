@@ -1,1 +1,1 @@
-"""Pictures of a `Flight`: the paper's figures (`figures`) and an animation (`animation`). Needs the `render` extra."""
+"""Pictures of worlds and flights: live (pygame), figures (matplotlib), pages for other viewers (web, rerun)."""

@@ -1,6 +1,6 @@
-"""Colours of all pictures, after Okabe and Ito: safe for colour-blind readers. A light and a dark theme of one meaning.
+"""Colours of all pictures, after Okabe and Ito: safe for colour-blind readers. A light and a dark theme.
 
-Plain strings, so that no drawing library is needed to know them.
+They are plain strings: no drawing library is needed.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from fovconn_env.scenarios.scenario import Scenario
 
 @dataclass(frozen=True, kw_only=True)
 class Theme:
-    """What each colour is for; all "#RRGGBB"."""
+    """The use of each colour; all "#RRGGBB"."""
 
     page: str  # behind everything
     panel: str  # behind a plot
@@ -26,7 +26,7 @@ class Theme:
     leader: str
     followers: tuple[str, ...]
     truth: str  # true lambda2
-    operator: str  # way points, and where the operator pushes
+    operator: str  # way points, and phases of a nonzero stick
     mutual: str  # links whose ends see each other
     one_way: str  # links of which one end sees the other
     warning: str
@@ -71,17 +71,17 @@ THEMES = {"light": LIGHT, "dark": DARK}
 
 
 def leader_of(scenario: Scenario) -> int | None:
-    """The robot the operator moves, or None."""
+    """The index of the scenario's leader, or None."""
     return None if scenario.leader == "none" else scenario.leader_index
 
 
 def colors_of(scenario: Scenario, theme: Theme = LIGHT, leader: int | None = None) -> list[str]:
-    """One colour a robot, (N,): the leader's stands apart, the followers' repeat after seven.
+    """One colour a robot, (N,): one for the leader; the followers' repeat after seven.
 
-    leader: who leads now, if it is not the scenario's; these two have each other's colours.
+    leader: the present leader, if it is not the scenario's; these two swap colours.
     """
-    first, spare = leader_of(scenario), itertools.cycle(theme.followers)
-    colors = [theme.leader if i == first else next(spare) for i in range(scenario.n_agents)]
+    first, followers = leader_of(scenario), itertools.cycle(theme.followers)
+    colors = [theme.leader if i == first else next(followers) for i in range(scenario.n_agents)]
     if first is not None and leader is not None:
         colors[first], colors[leader] = colors[leader], colors[first]
     return colors
@@ -89,6 +89,6 @@ def colors_of(scenario: Scenario, theme: Theme = LIGHT, leader: int | None = Non
 
 @functools.lru_cache(maxsize=1024)
 def mixed(color: str, other: str, share: float) -> str:
-    """`share` of a colour on the rest of another, both "#RRGGBB"."""
+    """A mix of two colours "#RRGGBB": `share` of the first."""
     pairs = ((int(color[k : k + 2], 16), int(other[k : k + 2], 16)) for k in (1, 3, 5))
     return "#" + "".join(f"{round(share * a + (1 - share) * b):02X}" for a, b in pairs)

@@ -10,11 +10,11 @@ import numpy as np
 from fovconn_env.render.obstacles import outlines
 
 ROTOR, BODY, NOSE, ARMS = slice(0, 48), slice(48, 56), slice(56, 59), slice(59, 63)  # parts of `QUADROTOR`
-_FACE = 2.5  # m, longer walls are cut so that they can be sorted by depth
+_FACE = 2.5  # m, longer walls are divided, so that they can be sorted by depth
 
 
 def _circle(n: int, radius: float, at: tuple[float, float, float]) -> np.ndarray:
-    """n corners of a level circle, (n, 3)."""
+    """n corners of a horizontal circle, (n, 3)."""
     angle = 2 * np.pi * np.arange(n) / n
     return np.array(at) + radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(n)], axis=-1)
 
@@ -45,7 +45,7 @@ def attitudes(yaw: np.ndarray, tilt: np.ndarray) -> np.ndarray:
 
 
 def placed(shape: np.ndarray, attitude: np.ndarray, at: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """A shape (K, 3) of the body frame at N robots, (N, K, 3). attitude (N, 3, 3); at (N, 3); scale (N,)."""
+    """A shape (K, 3) of the body frame at N poses, (N, K, 3). attitude (N, 3, 3); at (N, 3), m; scale (N,)."""
     return at[:, None] + scale[:, None, None] * (shape @ attitude.swapaxes(1, 2))
 
 
@@ -67,7 +67,7 @@ def rim(axis: tuple[float, float, float], a_min: float, n: int = 24) -> np.ndarr
 
 
 def _camera_axes(axis: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Optical axis, a level direction across it, and the third, unit vectors (3,) each."""
+    """Optical axis, a horizontal direction across it, and the third axis, unit vectors (3,) each."""
     ahead = np.array(axis)
     across = np.array([-ahead[1], ahead[0], 0.0])
     length = float(np.hypot(across[0], across[1]))
@@ -85,12 +85,14 @@ class Blocks(NamedTuple):
 
 
 def blocks(pieces: np.ndarray, vertices: np.ndarray, floor: float, top: float) -> Blocks:
-    """Faces of obstacle pieces (P,) PIECE, vertices (V, 2), as far as they stand between floor and top, m."""
+    """Faces of obstacle pieces (P,) PIECE, vertices (V, 2), cut to the heights from floor to top, m."""
     walls, roofs, owner = [], [], []
     low, high = np.maximum(pieces["low"], floor), np.minimum(pieces["high"], top)
-    for k, plan in enumerate(_coarse(shape) for shape in outlines(pieces, vertices)):
+    for k, plan in enumerate(_simplify_outline(shape) for shape in outlines(pieces, vertices)):
         if low[k] < high[k]:
-            walls += [_upright(a, b, low[k], high[k]) for a, b in zip(plan, np.roll(plan, -1, axis=0), strict=True)]
+            walls += [
+                _wall_corners(a, b, low[k], high[k]) for a, b in zip(plan, np.roll(plan, -1, axis=0), strict=True)
+            ]
             owner += [len(roofs)] * len(plan)
             roofs.append(np.column_stack([plan, np.full(len(plan), high[k])]))
     faces = np.array(walls).reshape(-1, 4, 3)
@@ -99,8 +101,8 @@ def blocks(pieces: np.ndarray, vertices: np.ndarray, floor: float, top: float) -
     return Blocks(faces, normals / np.linalg.norm(normals, axis=1, keepdims=True), roofs, np.array(owner, int))
 
 
-def _coarse(shape: np.ndarray) -> np.ndarray:
-    """An outline (n, 2) with every fourth corner, none twice, and none further than _FACE from the next."""
+def _simplify_outline(shape: np.ndarray) -> np.ndarray:
+    """An outline (n, 2) with every fourth corner, without repeated ones, and with edges of at most _FACE."""
     shape = shape[::4]
     shape = shape[np.linalg.norm(shape - np.roll(shape, -1, axis=0), axis=1) > 1e-6]
     parts = []
@@ -110,7 +112,7 @@ def _coarse(shape: np.ndarray) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _upright(a: np.ndarray, b: np.ndarray, low: float, high: float) -> np.ndarray:
+def _wall_corners(a: np.ndarray, b: np.ndarray, low: float, high: float) -> np.ndarray:
     """The wall (4, 3) over the ground line from a to b, (2,) each."""
     return np.array([[*a, low], [*b, low], [*b, high], [*a, high]])
 

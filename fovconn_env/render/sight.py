@@ -1,4 +1,4 @@
-"""Who sees whom over time: the four classes of Fig. 7, and when a lost pair meets again."""
+"""Sight of pairs over time: the four classes of Fig. 7, and the times at which lost sight is regained."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def runs(mask: np.ndarray) -> list[tuple[int, int]]:
 
 
 def regained(classes: np.ndarray, least: int = 1) -> list[int]:
-    """Indices in `classes` (T,) at which a phase of at least `least` instants without any sight ends."""
+    """Indices in `classes` (T,) at which a phase of NOBODY of at least `least` instants ends."""
     return [stop for first, stop in runs(classes == NOBODY) if stop < len(classes) and stop - first >= least]
 
 
 def observer(classes: np.ndarray, count: int = 2) -> int:
-    """The robot whose sight of its `busiest` others (classes (T, N, N)) takes most classes; the first of equals."""
+    """The robot whose sight of its `busiest` others takes most classes, the first of equals. classes: (T, N, N)."""
     variety = [
         sum(len(np.unique(classes[:, i, j])) for j in busiest(classes, i, count)) for i in range(classes.shape[1])
     ]
@@ -32,7 +32,7 @@ def observer(classes: np.ndarray, count: int = 2) -> int:
 
 
 def busiest(classes: np.ndarray, i: int, count: int = 2) -> list[int]:
-    """The robots whose sight from i (classes (T, N, N)) takes most classes, then changes most, in order of number."""
+    """The `count` robots whose sight by i takes most classes, then changes most; sorted. classes: (T, N, N)."""
     mine = classes[:, i]
     variety = [len(np.unique(mine[:, j])) if j != i else -1 for j in range(mine.shape[1])]
     changes = (np.diff(mine, axis=0) != 0).sum(0)

@@ -16,7 +16,7 @@ from fovconn_env.render.figures import style
 from fovconn_env.render.figures.animation import Movie, animate, frame_indices, snapshot
 from fovconn_env.render.figures.curves import draw_activation, draw_potential
 from fovconn_env.render.figures.paper import draw_all
-from fovconn_env.render.figures.scene import ARROWS, Scene, arrow_shape, body_shapes, cone_shapes, turned
+from fovconn_env.render.figures.scene import ARROWS, Scene, arrow_shape, body_shapes, cone_shapes, rotate_quarter
 from fovconn_env.render.figures.table import markdown, parameters
 from fovconn_env.render.figures.timelines import draw_connectivity, draw_relative_yaw
 from fovconn_env.render.figures.trajectories import draw_top_view, draw_trajectories
@@ -226,12 +226,12 @@ def test_body_points_where_it_heads_and_arrow_ends_at_its_head():
 
 def test_four_quarter_turns_lead_back():
     flight = make_flight(obstacles=True)
-    back = turned(turned(turned(turned(flight))))
+    back = rotate_quarter(rotate_quarter(rotate_quarter(rotate_quarter(flight))))
     for name in ("stick", "waypoints", "vertices"):
         assert np.array_equal(getattr(back, name), getattr(flight, name))
     assert np.array_equal(back.poses[..., :3], flight.poses[..., :3])
     assert back.poses[..., 3] == pytest.approx(flight.poses[..., 3] - 2 * math.pi)
-    assert turned(flight).poses[10, 0, :2] == pytest.approx([0.0, -0.5])
+    assert rotate_quarter(flight).poses[10, 0, :2] == pytest.approx([0.0, -0.5])
 
 
 # ----------------------------------------------------------------------------------------------------- animation

@@ -18,24 +18,24 @@ from fovconn_env.kernel.maths.geometry import tilt
 from fovconn_env.maps.obstacles import Map
 from fovconn_env.render import shapes3d
 from fovconn_env.render.live import strokes
-from fovconn_env.render.live.aim import Look
 from fovconn_env.render.live.alarm import HOLD, Alarm, notices, weak_links
 from fovconn_env.render.live.history import SPAN, History
 from fovconn_env.render.live.instant import instant_of
-from fovconn_env.render.live.pixels import MASKS, halve, rgb_array, shade
-from fovconn_env.render.live.places import divide
+from fovconn_env.render.live.page_layout import divide_page
+from fovconn_env.render.live.pixels import MASKS, downsample, rgb_array, shade
 from fovconn_env.render.live.projection import (
     NEAR,
-    clipped,
+    clip_polygon,
+    clip_segments,
     fitting_distance,
-    from_above,
-    in_front,
     look_at,
+    look_down,
     project,
 )
 from fovconn_env.render.live.strip import FINE
 from fovconn_env.render.live.text import Typesetter
 from fovconn_env.render.live.view import View
+from fovconn_env.render.live.viewpoint import ViewSettings
 from fovconn_env.render.palette import DARK, LIGHT, THEMES, colors_of
 from fovconn_env.scenarios.presets import scenario
 from fovconn_env.scenarios.settings import Fault
@@ -73,7 +73,7 @@ def world_of(view, image):
 
 def overlaps(view):
     """Pairs of words of the last picture that stand on each other."""
-    words = view._type.taken
+    words = view._type.occupied
     return [(a, b) for k, a in enumerate(words) for b in words[k + 1 :] if a.colliderect(b)]
 
 
@@ -102,7 +102,7 @@ def test_perspective_by_hand():
 
 
 def test_from_above():
-    lens = from_above(np.array([1.0, 1.0, 5.0]), 20.0, SIZE)
+    lens = look_down(np.array([1.0, 1.0, 5.0]), 20.0, SIZE)
     flat, depth = project(lens, np.array([[1.0, 1.0, 0.0], [3.0, 1.0, 2.0], [1.0, 4.0, -1.0]]))
     assert flat == pytest.approx(np.array([[200.0, 150.0], [240.0, 150.0], [200.0, 90.0]]))
     assert depth[1] < depth[0] < depth[2]
@@ -110,13 +110,13 @@ def test_from_above():
 
 def test_what_is_behind_the_eye_is_cut_off():
     lens = look_at(np.zeros(3), -math.pi / 2, 0.0, 1.0, SIZE)  # the eye at y = -1 looks north
-    cut = in_front(lens, SQUARE)
+    cut = clip_polygon(lens, SQUARE)
     assert len(cut) == 4
     assert cut[:, 1].min() == pytest.approx(NEAR - 1.0)
     north = np.array([0.0, 10.0, 0.0])
-    assert np.array_equal(in_front(lens, SQUARE + north), SQUARE + north)
-    assert len(in_front(lens, SQUARE - north)) == 0
-    line = clipped(lens, np.array([[[0.0, -3.0, 0.0], [0.0, 3.0, 0.0]]]))[0]
+    assert np.array_equal(clip_polygon(lens, SQUARE + north), SQUARE + north)
+    assert len(clip_polygon(lens, SQUARE - north)) == 0
+    line = clip_segments(lens, np.array([[[0.0, -3.0, 0.0], [0.0, 3.0, 0.0]]]))[0]
     assert line == pytest.approx(np.array([[0.0, NEAR - 1.0, 0.0], [0.0, 3.0, 0.0]]))
 
 
@@ -201,14 +201,14 @@ def test_history_keeps_thirty_seconds_of_an_episode():
     history, now = History(6, 0.05), instant_of(started())
     for k in range(2000):
         history.add(now._replace(time=0.05 * k, lambda2=float(k)))
-    time, lambda2, edges, hats = history.strip(0.05 * 1999 - SPAN)
+    time, lambda2, edges, hats = history.curves(0.05 * 1999 - SPAN)
     assert (time[0], time[-1], len(time)) == (pytest.approx(0.05 * 1999 - SPAN), 0.05 * 1999, 601)
     assert lambda2.tolist() == list(range(1399, 2000))
     assert (edges.shape, hats.shape, history.tracks(90.0).shape[1:]) == ((601,), (601, 6), (6, 3))
     history.add(now._replace(time=90.0, lambda2=-1.0))
-    assert history.strip(89.9)[1][-1] == -1.0, "a world that was set back goes on from there"
+    assert history.curves(89.9)[1][-1] == -1.0, "a world that was set back goes on from there"
     history.add(now._replace(key=now.key + 1, time=0.0))
-    assert len(history.strip(-1.0)[0]) == 1
+    assert len(history.curves(-1.0)[0]) == 1
 
 
 # ------------------------------------------------------------------------------------------------------ pictures
@@ -234,7 +234,7 @@ def test_picture_follows_the_world_and_leaves_it_alone():
 @pytest.mark.parametrize("size", [(320, 240), (640, 480), (1280, 720)])
 def test_sizes_themes_and_cameras(size, camera, theme):
     simulator = started("LeaderObstacles-v0", map=GROUND)
-    view = View(simulator.scenario, size, theme=theme, look=Look(camera=camera))
+    view = View(simulator.scenario, size, theme=theme, settings=ViewSettings(camera=camera))
     image = pixels(view.draw(simulator))
     assert image.shape == (size[1], size[0], 3)
     assert count(image, THEMES[theme].page) > 0.04 * image.shape[0] * image.shape[1]
@@ -247,7 +247,7 @@ def test_links_have_the_colour_of_their_sight(poses, mutual, theme):
     simulator = started(n_agents=2, poses=poses, patience=1e3)
     watch = simulator.state.pair["f_star"][0]
     assert (watch[0, 1] > 0, watch[1, 0] > 0) == (True, mutual)
-    view = View(simulator.scenario, theme=theme, look=Look(trails=False))
+    view = View(simulator.scenario, theme=theme, settings=ViewSettings(trails=False))
     image = world_of(view, pixels(view.draw(simulator)))
     shown, other = THEMES[theme].mutual, THEMES[theme].one_way
     if not mutual:
@@ -259,7 +259,7 @@ def test_links_have_the_colour_of_their_sight(poses, mutual, theme):
 def test_the_arrow_points_at_the_robot_that_is_seen():
     """More of the link's colour next to the seen robot: there is the head of the arrow."""
     simulator = started(n_agents=2, poses=CHASE, patience=1e3)
-    view = View(simulator.scenario, look=Look(azimuth=-math.pi / 2, trails=False, cones=False))
+    view = View(simulator.scenario, settings=ViewSettings(azimuth=-math.pi / 2, trails=False, cones=False))
     image = world_of(view, pixels(view.draw(simulator)))
     wanted = [int(LIGHT.one_way[k : k + 2], 16) for k in (1, 3, 5)]
     columns = (np.abs(image - wanted).max(axis=-1) <= 12).sum(axis=0)
@@ -271,13 +271,13 @@ def test_links_of_one_robot_alone():
     simulator = started()
     weights = simulator.state.pair["weight"][0]
     outside = [i for i in range(6) if not weights[i].any()]
-    view = View(simulator.scenario, look=Look(trails=False, cones=False))
+    view = View(simulator.scenario, settings=ViewSettings(trails=False, cones=False))
     image = world_of(view, pixels(view.draw(simulator)))
     whole = count(image, LIGHT.mutual) + count(image, LIGHT.one_way)
     assert not outside
     shares = []
     for i in range(6):
-        view.look = Look(trails=False, cones=False, linked=i)
+        view.settings = ViewSettings(trails=False, cones=False, linked=i)
         image = world_of(view, pixels(view.draw(simulator)))
         shares.append((count(image, LIGHT.mutual) + count(image, LIGHT.one_way)) / whole)
     assert max(shares) < 0.95
@@ -291,8 +291,8 @@ def test_words_keep_off_stars(size):
     world = simulator.world.waypoint[0]
     world[:3] = simulator.poses()[0, [0, 1, 2], :3] + [0.0, 0.0, 1.0]
     view = View(simulator.scenario, size)
-    marks, paint = [], view._paint
-    view._paint = lambda place, *rest: marks.append((place, found := paint(place, *rest))) or found
+    marks, paint = [], view._draw_world
+    view._draw_world = lambda place, *rest: marks.append((place, found := paint(place, *rest))) or found
     view.draw(simulator)
     stars = [
         (at / FINE + place.topleft, found.star / FINE)
@@ -304,7 +304,7 @@ def test_words_keep_off_stars(size):
     for (x, y), radius in stars:
         star = pygame.Rect(0, 0, 1.7 * radius, 1.7 * radius)
         star.center = round(x), round(y)
-        assert star.collidelist(view._type.taken) < 0
+        assert star.collidelist(view._type.occupied) < 0
     assert overlaps(view) == []
 
 
@@ -316,7 +316,7 @@ def test_warnings_leave_room_for_the_team():
     for size, least in (((320, 240), 1), ((1280, 720), 3)):
         view = View(simulator.scenario, size)
         view.draw(simulator)
-        world = divide(size, view._type.line, above=True).world
+        world = divide_page(size, view._type.line, above=True).world
         page = pixels(view._page)[: world.height, : world.width]
         rows = np.flatnonzero(
             (np.abs(page - [int(LIGHT.warning[k : k + 2], 16) for k in (1, 3, 5)]) < 3).all(2)[:, :14].any(1)
@@ -328,12 +328,12 @@ def test_warnings_leave_room_for_the_team():
 
 def test_long_words_are_broken():
     type_ = Typesetter(12)
-    assert type_.broken("one two", 1000) == ["one two"]
-    lines = type_.broken("pause: Space goes on, a dot flies one step", 150)
+    assert type_.wrap("one two", 1000) == ["one two"]
+    lines = type_.wrap("pause: Space goes on, a dot flies one step", 150)
     assert " ".join(lines) == "pause: Space goes on, a dot flies one step"
     assert len(lines) > 1
     assert all(type_.width(line) <= 150 for line in lines)
-    assert type_.broken("you fly robot 1   0.52 m/s", type_.width("you fly robot 1   0.5")) == ["you fly robot 1"]
+    assert type_.wrap("you fly robot 1   0.52 m/s", type_.width("you fly robot 1   0.5")) == ["you fly robot 1"]
 
 
 def test_switches_of_the_look():
@@ -350,21 +350,21 @@ def test_switches_of_the_look():
         {"azimuth": 0.3},
         {"distance": 30.0},
     ):
-        view.look = Look(**change)
+        view.settings = ViewSettings(**change)
         assert (view.draw_array(simulator) != usual).any(axis=-1).mean() > 0.0005, change
     view.overlay = ["keyboard: W A S D"]
     assert (view.draw_array(simulator) != usual).any()
     assert overlaps(view) == []
     view.set_page((800, 600), "dark")
     assert view.draw_array(simulator).shape == (600, 800, 3)
-    assert len(view._history.strip(-1.0)[0]) == 20, "the history stays"
+    assert len(view._history.curves(-1.0)[0]) == 20, "the history stays"
     with pytest.raises(ValueError, match="theme must be one of light, dark, got 'blue'"):
         view.set_page((640, 480), "blue")
 
 
 def test_the_dead_are_grey():
     simulator = started("Blackout-v0", patience=1e3, faults=(Fault(robot=2, at=0.0),))
-    view = View(simulator.scenario, look=Look(trails=False))
+    view = View(simulator.scenario, settings=ViewSettings(trails=False))
     before = count(pixels(view.draw(simulator)), LIGHT.followers[1])
     for _ in range(2):
         simulator.step(np.zeros((1, 6, 4)))
@@ -377,7 +377,7 @@ def test_a_crowd(size):
     view = View(simulator.scenario, size)
     assert pixels(view.draw(simulator)).std() > 8
     assert overlaps(view) == []
-    assert len(view._type.taken) > 30
+    assert len(view._type.occupied) > 30
 
 
 def test_no_leader_no_course():
@@ -405,7 +405,7 @@ def test_another_leader_in_flight():
     simulator.lead(2)
     after = view.draw_array(simulator)
     assert (after != before).any(axis=-1).mean() > 0.001
-    assert len(view._history.strip(-1.0)[0]) == 3
+    assert len(view._history.curves(-1.0)[0]) == 3
     assert view._painter.colors[2] == LIGHT.leader
     simulator.reset(3)
     view.draw(simulator)
@@ -422,16 +422,16 @@ def test_pictures_between_two_steps():
     simulator.step(np.ones((1, 6, 4)))
     now = instant_of(simulator)
     assert np.abs(now.poses - earlier.poses).max() > 0.02
-    for late in (0.0, 0.3, 1.0):
-        shown = view._between(now, late)
-        assert shown.poses == pytest.approx(now.poses - late * (now.poses - earlier.poses))
-        assert shown.time == pytest.approx(now.time - late * simulator.scenario.step_time)
+    for lag in (0.0, 0.3, 1.0):
+        shown = view._interpolate(now, lag)
+        assert shown.poses == pytest.approx(now.poses - lag * (now.poses - earlier.poses))
+        assert shown.time == pytest.approx(now.time - lag * simulator.scenario.step_time)
     turned = now._replace(time=now.time + 0.05, poses=now.poses * [1, 1, 1, 0] + [0, 0, 0, 3.1])
     back = turned._replace(time=turned.time + 0.05, poses=now.poses * [1, 1, 1, 0] - [0, 0, 0, 3.1])
-    view._between(turned, 0.5)
-    assert np.cos(view._between(back, 0.5).poses[:, 3]) == pytest.approx(-1.0)
+    view._interpolate(turned, 0.5)
+    assert np.cos(view._interpolate(back, 0.5).poses[:, 3]) == pytest.approx(-1.0)
     skipped = back._replace(time=back.time + 1.0)
-    assert view._between(skipped, 0.5) is skipped, "steps between them were not drawn"
+    assert view._interpolate(skipped, 0.5) is skipped, "steps between them were not drawn"
 
 
 # -------------------------------------------------------------------------------------------------- environments
@@ -524,7 +524,7 @@ def test_pixels_are_halved_and_unpacked():
     colors = rng.integers(0, 256, (12, 8, 3), dtype=np.uint8)
     pygame.surfarray.blit_array(fine, colors)
     page.fill((1, 2, 3))
-    halve(fine, page)
+    downsample(fine, page)
     wanted = (colors.reshape(6, 2, 4, 2, 3).sum(axis=(1, 3), dtype=np.uint16) + 2) // 4
     found = rgb_array(page)
     np.testing.assert_array_equal(found[:4], wanted.swapaxes(0, 1))

@@ -14,7 +14,7 @@ from fovconn_env.training.play.handover import Handover
 from fovconn_env.training.play.keyboard import FALL, RISE, Keyboard, ramp
 from fovconn_env.training.play.pace import MOST, Pace
 from fovconn_env.training.play.session import Session
-from fovconn_env.training.play.stick import REST, Stick, together, velocity
+from fovconn_env.training.play.stick import REST, Stick, add_sticks, velocity
 
 STEP = 0.05
 QUICK = {"warmup": 0.5, "patience": 1e3}
@@ -125,7 +125,7 @@ def test_sticks_of_a_gamepad():
 
 
 def test_sticks_together_are_one_stick():
-    both = together(Stick(forward=1.0, yaw=0.8), Stick(left=1.0, yaw=0.8))
+    both = add_sticks(Stick(forward=1.0, yaw=0.8), Stick(left=1.0, yaw=0.8))
     assert both == pytest.approx((math.sqrt(0.5), math.sqrt(0.5), 0.0, 1.0))
     assert velocity(Stick(forward=1.0), 2.0, math.pi / 2) == pytest.approx([0.0, 2.0, 0.0])
     assert velocity(Stick(left=0.5, up=0.5), 1.0, math.pi / 2) == pytest.approx([-0.5, 0.0, 0.5])
@@ -137,11 +137,11 @@ def test_pace_of_a_computer_that_keeps_up():
     flown = [pace.due(1 / 60) for _ in range(600)]
     assert sum(flown) in (199, 200)
     assert max(flown) == 1
-    assert pace.complaint == ""
+    assert pace.warning == ""
     assert pace.rate == pytest.approx(60.0)
     assert sum(pace.due(1 / 60, 0.25) for _ in range(600)) in (49, 50, 51)
     assert sum(pace.due(1 / 60, 0.0) for _ in range(600)) == 0
-    assert pace.complaint == "", "a pause is no lag"
+    assert pace.warning == "", "a pause is no lag"
 
 
 def test_pace_says_when_it_cannot_keep_up():
@@ -149,10 +149,10 @@ def test_pace_says_when_it_cannot_keep_up():
     flown = [pace.due(0.5) for _ in range(20)]
     assert max(flown) == MOST
     assert pace.share == pytest.approx(0.4)
-    assert pace.complaint == "too slow a computer: 0.40 of real time, 2 pictures/s"
+    assert pace.warning == "too slow a computer: 0.40 of real time, 2 pictures/s"
     for _ in range(300):
         pace.due(1 / 60)
-    assert pace.complaint == "", "it is told about the last second"
+    assert pace.warning == "", "it is told about the last second"
 
 
 # ----------------------------------------------------------------------------------------------------------- handovers
@@ -184,9 +184,9 @@ def jumps(one, steps=30):
         one.step(Stick(forward=1.0))
     for number, (what, change) in enumerate(CHANGES.items()):
         change(one)
-        assert one.handover.open.any(), what
+        assert one.handover.active.any(), what
         for k in range(steps):
-            before, handed = commands(one), one.handover.open.copy()
+            before, handed = commands(one), one.handover.active.copy()
             stick = wild(number) if "gone" not in what else REST
             one.step(stick)
             assert not one.over
@@ -222,7 +222,7 @@ def test_a_change_of_policy_in_flight_is_no_jump_either():
             one.next_policy(direction)
         assert one.steps == steps or "flooding" in name
         for _ in range(20):
-            before, handed = commands(one), one.handover.open.copy()
+            before, handed = commands(one), one.handover.active.copy()
             one.step(Stick(left=1.0))
             assert (np.linalg.norm(commands(one) - before, axis=1) * handed).max() <= JUMP
 
@@ -232,12 +232,12 @@ def test_a_handover_ends():
     one.fly(3)
     for _ in range(60):
         one.step(Stick(forward=1.0))
-    assert not one.handover.open.any()
+    assert not one.handover.active.any()
     assert commands(one)[3] == pytest.approx([one.scenario.speed_limit, 0.0, 0.0])
     one.hands_off()
     for _ in range(60):
         one.step()
-    assert not one.handover.open.any()
+    assert not one.handover.active.any()
 
 
 # ------------------------------------------------------------------------------------------------------------- session
@@ -275,7 +275,7 @@ def test_the_script_pulls_as_the_scenario_does():
 
     one = session(patience=0.0)
     one.hands_off()
-    one.handover.open[:] = False
+    one.handover.active[:] = False
     plain = Simulator(scenario("LeaderFollow-v0", **{**QUICK, "patience": 0.0}))
     plain.reset(3)
     policy = load_policy("expert", plain)

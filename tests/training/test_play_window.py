@@ -39,7 +39,7 @@ def app(request):
     """An open window; parametrize indirectly with settings."""
     settings = {**QUICK, **getattr(request, "param", {})}
     opened = App(Session("LeaderFollow-v0", "zero", 3, changes=settings), size=(640, 480), theme="light", fps=60)
-    opened.turn(0.0)
+    opened.run_once(0.0)
     yield opened
     opened.close()
 
@@ -80,9 +80,9 @@ class Pad:
     def push(self, app, number):
         for down in (1, 0):
             self.sdl.SDL_JoystickSetVirtualButton(self.joystick, number, down)
-            app.turn(0.0)
+            app.run_once(0.0)
 
-    def unplug(self):
+    def gamepad_removed(self):
         assert self.sdl.SDL_JoystickDetachVirtual(self.index) == 0
 
 
@@ -110,51 +110,51 @@ def wanted(push, azimuth):
 def test_a_gamepad_flies_a_whole_flight(app):
     """The leader moves as pushed, to 5 %; unplugged, the stick is at zero and the flight pauses."""
     pad, session = Pad(), app.cockpit.session
-    app.turn(0.0)
+    app.run_once(0.0)
     for push in PUSHES:
         pad.move(**{"left_x": 0.0, "left_y": 0.0, "right_x": 0.0, "right_y": 0.0, **push})
         for _ in range(10):
-            app.turn(STEP)
+            app.run_once(STEP)
         start = leader_at(app)
         for _ in range(40):
-            app.turn(STEP)
-        way, asked = leader_at(app) - start, 40 * STEP * wanted(push, app.cockpit.look.azimuth)
+            app.run_once(STEP)
+        way, asked = leader_at(app) - start, 40 * STEP * wanted(push, app.cockpit.settings.azimuth)
         assert np.linalg.norm(way - asked) <= 0.05 * np.linalg.norm(asked)
     pad.move(left_x=0.1, left_y=-0.05, right_y=0.0)
-    app.turn(STEP)
-    app.turn(STEP)
+    app.run_once(STEP)
+    app.run_once(STEP)
     assert session.speed == 0.0, "within the dead zone"
     pad.move(left_y=-1.0)
-    app.turn(STEP)
+    app.run_once(STEP)
     steps = session.steps
-    pad.unplug()
-    app.turn(STEP)
+    pad.gamepad_removed()
+    app.run_once(STEP)
     assert app.cockpit.paused
     assert "unplugged" in app.cockpit.reason
-    app.turn(STEP)
+    app.run_once(STEP)
     assert session.steps == steps
     pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_SPACE, mod=0))
     for _ in range(30):
-        app.turn(STEP)
+        app.run_once(STEP)
     assert session.steps > steps
     assert session.speed == 0.0
     again = Pad()  # hot plug
-    app.turn(0.0)
+    app.run_once(0.0)
     again.move(left_y=-1.0)
     for _ in range(10):
-        app.turn(STEP)
+        app.run_once(STEP)
     assert session.speed == pytest.approx(1.0)
     while not session.over:
-        app.turn(STEP)
+        app.run_once(STEP)
     assert session.score().outcome == "time"
-    again.unplug()
-    app.turn(0.0)
+    again.gamepad_removed()
+    app.run_once(0.0)
     assert not app.cockpit.paused, "nothing flies that could pause"
 
 
 def test_buttons_of_a_gamepad(app):
     pad, session = Pad(), app.cockpit.session
-    app.turn(0.0)
+    app.run_once(0.0)
     pad.push(app, 10)
     assert session.flown == 1
     pad.push(app, 0)
@@ -166,9 +166,9 @@ def test_buttons_of_a_gamepad(app):
     pad.push(app, 6)
     assert app.cockpit.paused
     pad.push(app, 3)
-    assert app.cockpit.look.camera == "follow"
-    pad.unplug()
-    app.turn(0.0)
+    assert app.cockpit.settings.camera == "follow"
+    pad.gamepad_removed()
+    app.run_once(0.0)
 
 
 # ------------------------------------------------------------------------------------------------- keyboard and mouse
@@ -179,24 +179,24 @@ def post(kind, **attributes):
 def tap(app, key, mod=0):
     post(pygame.KEYDOWN, key=key, mod=mod)
     post(pygame.KEYUP, key=key, mod=mod)
-    app.turn(0.0)
+    app.run_once(0.0)
 
 
 def test_keys_move_the_leader_as_seen_from_the_front(app):
     """W flies away from the person, D to the right; in the robot's frame where it looks; from above north is up."""
-    session, azimuth = app.cockpit.session, app.cockpit.look.azimuth
+    session, azimuth = app.cockpit.session, app.cockpit.settings.azimuth
 
     def way(key):
         post(pygame.KEYDOWN, key=key, mod=0)
         for _ in range(10):
-            app.turn(STEP)
+            app.run_once(STEP)
         start = leader_at(app)
         for _ in range(20):
-            app.turn(STEP)
+            app.run_once(STEP)
         moved = leader_at(app) - start
         post(pygame.KEYUP, key=key, mod=0)
         for _ in range(10):
-            app.turn(STEP)
+            app.run_once(STEP)
         return moved
 
     assert way(pygame.K_w)[:2] == pytest.approx([-math.cos(azimuth), -math.sin(azimuth)], rel=0.05)
@@ -207,7 +207,7 @@ def test_keys_move_the_leader_as_seen_from_the_front(app):
     tap(app, pygame.K_v)
     tap(app, pygame.K_c)
     tap(app, pygame.K_c)
-    assert app.cockpit.look.camera == "top"
+    assert app.cockpit.settings.camera == "top"
     assert way(pygame.K_w) == pytest.approx([0.0, 1.0, 0.0], abs=0.05)
     assert way(pygame.K_r) == pytest.approx([0.0, 0.0, 1.0], abs=0.05)
     turned = session.yaw()
@@ -224,14 +224,14 @@ def test_all_keys_do_something_and_nothing_breaks(app):
                 if key.does != "quit":
                     mod = pygame.KMOD_SHIFT if name.startswith("shift+") else 0
                     tap(app, pygame.key.key_code(name.removeprefix("shift+")), mod)
-                    app.turn(STEP)
-    assert not app.cockpit.asked_to_quit
+                    app.run_once(STEP)
+    assert not app.cockpit.quit_requested
 
 
 def test_links_of_the_robot_that_is_flown(app):
     def linked():
-        app.turn(STEP)
-        return app.cockpit.look.linked
+        app.run_once(STEP)
+        return app.cockpit.settings.linked
 
     assert linked() is None
     tap(app, pygame.K_k)
@@ -248,60 +248,60 @@ def test_pause_single_step_slow_motion_and_another_seed(app):
     session = app.cockpit.session
     tap(app, pygame.K_SPACE)
     for _ in range(5):
-        app.turn(STEP)
+        app.run_once(STEP)
     assert session.steps == 0
     tap(app, pygame.K_PERIOD)
     assert session.steps == 1
     tap(app, pygame.K_SPACE)
     tap(app, pygame.K_m)
     for _ in range(8):
-        app.turn(STEP)
+        app.run_once(STEP)
     assert session.steps == 5, "half as fast"
     tap(app, pygame.K_n)
     assert (session.seed, session.steps) == (4, 0)
     tap(app, pygame.K_h)
     for _ in range(5):
-        app.turn(STEP)
+        app.run_once(STEP)
     assert session.steps == 0, "reading takes no time of the flight"
     tap(app, pygame.K_ESCAPE)
-    assert not app.cockpit.helps
+    assert not app.cockpit.help_page
     tap(app, pygame.K_ESCAPE)
-    assert app.cockpit.asked_to_quit
+    assert app.cockpit.quit_requested
 
 
 def test_mouse(app):
-    before = app.cockpit.look
+    before = app.cockpit.settings
     post(pygame.MOUSEMOTION, buttons=(1, 0, 0), rel=(50, 20), pos=(0, 0))
     post(pygame.MOUSEWHEEL, y=2, x=0)
-    app.turn(0.0)
-    after = app.cockpit.look
+    app.run_once(0.0)
+    after = app.cockpit.settings
     assert after.azimuth < before.azimuth
     assert after.elevation > before.elevation
     assert after.distance < 20.0
     post(pygame.MOUSEMOTION, buttons=(0, 0, 0), rel=(50, 20), pos=(0, 0))
-    app.turn(0.0)
-    assert app.cockpit.look == after
+    app.run_once(0.0)
+    assert app.cockpit.settings == after
     post(pygame.MOUSEBUTTONDOWN, button=3, pos=(0, 0))
-    app.turn(0.0)
-    assert app.cockpit.look == before
+    app.run_once(0.0)
+    assert app.cockpit.settings == before
 
 
 def test_the_window(app):
     """Keys are let go of when it loses the keyboard; it can be resized, and closed."""
     post(pygame.KEYDOWN, key=pygame.K_w, mod=0)
     for _ in range(12):
-        app.turn(STEP)
+        app.run_once(STEP)
     assert app.cockpit.session.speed == pytest.approx(1.0)
     post(pygame.WINDOWFOCUSLOST, window=app._window)
     for _ in range(12):
-        app.turn(STEP)
+        app.run_once(STEP)
     assert app.cockpit.session.speed == 0.0
     app._window.size = (900, 500)
-    app.turn(STEP)
+    app.run_once(STEP)
     assert app.cockpit._view.size == (900, 500)
     post(pygame.WINDOWCLOSE, window=app._window)
-    app.turn(STEP)
-    assert app.cockpit.asked_to_quit
+    app.run_once(STEP)
+    assert app.cockpit.quit_requested
 
 
 @pytest.mark.skipif(not (shutil.which("Xvfb") and shutil.which("xdotool")), reason="needs Xvfb and xdotool")
@@ -385,12 +385,12 @@ def test_panels_stand_within_the_page(size, theme, monkeypatch):
     images.append(one.draw().copy())
     pages = 1
     one.press("h")
-    while one.helps:
+    while one.help_page:
         assert one.draw() is not None
         pages += 1
         one.press("h")
     assert pages == (1 if size[0] >= 640 else 6)
-    one.unplug()
+    one.gamepad_removed()
     images.append(one.draw().copy())
     one.press("space")
     while not one.session.over:
@@ -503,7 +503,7 @@ def test_the_command_plays_and_says_what_it_wrote(fovconn, monkeypatch, tmp_path
 
     def turn(self, elapsed, usual=App.turn):
         usual(self, STEP)
-        self.cockpit.asked_to_quit = next(turns, None) is None
+        self.cockpit.quit_requested = next(turns, None) is None
 
     monkeypatch.setattr(app_module.App, "turn", turn)
     shown = fovconn("play", "--set", "warmup=0.1", "--record", "mine.npz", "--size", "400x300", "--theme", "dark")

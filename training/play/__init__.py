@@ -1,1 +1,1 @@
-"""`fovconn play`: a person flies the leader, or any other robot. Only `app`, `panels` and `cockpit` know pygame."""
+"""`fovconn play`: a person flies the leader or another robot. Only `app`, `panels` and `cockpit` import pygame."""

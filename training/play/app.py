@@ -1,4 +1,4 @@
-"""The window of `fovconn play`: passes events on to the cockpit and shows its pictures, many times a second."""
+"""The window of `fovconn play`: passes events to the cockpit and shows its pictures."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from fovconn_env.render.live.window import open_window
 from fovconn_env.training.play.cockpit import Cockpit
 from fovconn_env.training.play.gamepad import stick_of
 from fovconn_env.training.play.session import Session
-from fovconn_env.training.play.stick import REST, Stick, together
+from fovconn_env.training.play.stick import REST, Stick, add_sticks
 
-_WHOLE = 32767.0  # of an axis of a controller
+_AXIS_MAX = 32767.0  # of an axis of a controller
 _STICKS = (
     pygame.CONTROLLER_AXIS_LEFTX,
     pygame.CONTROLLER_AXIS_LEFTY,
@@ -21,7 +21,7 @@ _STICKS = (
 
 
 class App:
-    """Opens the window at once. Gamepads come and go while it is open."""
+    """The window and its event loop. Gamepads may be plugged in and out at any time."""
 
     def __init__(self, session: Session, *, size: tuple[int, int], theme: str, fps: int) -> None:
         """Raises `OSError` where there is no display."""
@@ -41,21 +41,21 @@ class App:
         self.pictures = 0  # drawn
 
     def run(self) -> None:
-        """Until the person closes the window."""
+        """Run the loop until the person closes the window."""
         clock = pygame.time.Clock()
         clock.tick()
         try:
-            while not self.cockpit.asked_to_quit:
-                self.turn(clock.tick(self._fps) / 1000.0)
+            while not self.cockpit.quit_requested:
+                self.run_once(clock.tick(self._fps) / 1000.0)
         finally:
             self.close()
 
-    def turn(self, elapsed: float) -> None:
-        """Once around the loop, `elapsed`, s, after the last time: events, steps, picture."""
+    def run_once(self, elapsed: float) -> None:
+        """One pass of the loop, `elapsed`, s, after the previous one: events, steps, picture."""
         for event in pygame.event.get():
-            self._take(event)
+            self._handle_event(event)
         cockpit = self.cockpit
-        cockpit.pad = together(*(self._stick(pad) for pad in self._pads.values())) if self._pads else REST
+        cockpit.pad = add_sticks(*(self._read_stick(pad) for pad in self._pads.values())) if self._pads else REST
         cockpit.advance(elapsed)
         page = cockpit.draw(self._window.size)
         if page is not None:
@@ -64,18 +64,18 @@ class App:
             self._window.flip()
 
     def close(self) -> None:
-        """Close the window; what was flown is written if it is recorded."""
+        """Close the window; a recorded flight is written."""
         self.cockpit.session.save()
         self._window.destroy()
 
-    def _take(self, event: pygame.Event) -> None:
+    def _handle_event(self, event: pygame.Event) -> None:
         cockpit = self.cockpit
         if event.type == pygame.QUIT or (event.type == pygame.WINDOWCLOSE and event.window is self._window):
-            cockpit.asked_to_quit = True
+            cockpit.quit_requested = True
         elif event.type == pygame.KEYDOWN:
-            cockpit.press("shift+" * bool(event.mod & pygame.KMOD_SHIFT) + _name(event.key))
+            cockpit.press("shift+" * bool(event.mod & pygame.KMOD_SHIFT) + _key_name(event.key))
         elif event.type == pygame.KEYUP:
-            cockpit.release(_name(event.key))
+            cockpit.release(_key_name(event.key))
         elif event.type == pygame.WINDOWFOCUSLOST:
             cockpit.keyboard.release_all()
         elif event.type == pygame.MOUSEMOTION and event.buttons[0]:
@@ -83,15 +83,15 @@ class App:
         elif event.type == pygame.MOUSEWHEEL:
             cockpit.zoom(event.y)
         elif event.type == pygame.MOUSEBUTTONDOWN and event.button == 3:
-            cockpit.look_again()
+            cockpit.reset_view()
         elif event.type == pygame.JOYDEVICEADDED:
-            self._plug(event.device_index)
+            self._add_gamepad(event.device_index)
         elif event.type == pygame.CONTROLLERDEVICEREMOVED and self._pads.pop(event.instance_id, None):
-            cockpit.unplug()
+            cockpit.gamepad_removed()
         elif event.type == pygame.CONTROLLERBUTTONDOWN:
-            cockpit.push_button(event.button)
+            cockpit.press_button(event.button)
 
-    def _plug(self, index: int) -> None:
+    def _add_gamepad(self, index: int) -> None:
         if not controller.is_controller(index):
             name = pygame.joystick.Joystick(index).get_name()
             self.cockpit.say(f"SDL knows no layout of {name}: set SDL_GAMECONTROLLERCONFIG")
@@ -101,9 +101,9 @@ class App:
         self.cockpit.say(f"gamepad: {pad.name}")
 
     @staticmethod
-    def _stick(pad: controller.Controller) -> Stick:
-        return stick_of(*(max(pad.get_axis(axis) / _WHOLE, -1.0) for axis in _STICKS))
+    def _read_stick(pad: controller.Controller) -> Stick:
+        return stick_of(*(max(pad.get_axis(axis) / _AXIS_MAX, -1.0) for axis in _STICKS))
 
 
-def _name(key: int) -> str:
+def _key_name(key: int) -> str:
     return pygame.key.name(key).lower()

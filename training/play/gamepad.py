@@ -1,4 +1,4 @@
-"""Sticks of a gamepad as a `Stick`, and what its buttons do. Knows numbers and names, no library."""
+"""Sticks of a gamepad as a `Stick`, and the commands of its buttons. Imports no library."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 from fovconn_env.training.play.stick import Stick
 
-DEAD = 0.12  # share of a stick's way about its middle that counts as the middle: sticks do not come back quite
-FULL = 0.95  # share of its way from which on it counts as pushed to the end: not all get there
+DEAD = 0.12  # radius of the dead zone, a share of the full deflection: sticks do not return exactly
+FULL = 0.95  # share that counts as full deflection: not all sticks reach 1
 
 
 class Button(NamedTuple):
-    """A button by its place on an Xbox pad, its number in SDL's standard layout, and the command."""
+    """A button: name on an Xbox pad, number in SDL's standard layout, command and its description."""
 
     name: str
     number: int
@@ -38,9 +38,9 @@ BUTTONS = (
 
 
 def dead_zone(x: float, y: float) -> tuple[float, float]:
-    """A stick's position, each in [-1, 1], with its way from DEAD to FULL stretched to 0 to 1, direction kept.
+    """A stick's position, x and y in [-1, 1], rescaled so that deflections DEAD to FULL give 0 to 1.
 
-    Round, not by axis: else slow motion would stick to the axes.
+    The dead zone is round: one for each axis would pull slow motion to the axes.
     """
     length = math.hypot(x, y)
     if length <= DEAD:
@@ -50,7 +50,7 @@ def dead_zone(x: float, y: float) -> tuple[float, float]:
 
 
 def stick_of(left_x: float, left_y: float, right_x: float, right_y: float) -> Stick:
-    """The stick for both sticks' positions, each in [-1, 1], x to the right and y towards the person."""
+    """The `Stick` of both sticks' positions, each in [-1, 1], x to the right and y towards the person."""
     x, y = dead_zone(left_x, left_y)
     turn, climb = dead_zone(right_x, right_y)
     return Stick(forward=-y + 0.0, left=-x + 0.0, up=-climb + 0.0, yaw=-turn + 0.0)

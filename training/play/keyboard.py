@@ -1,6 +1,6 @@
-"""The keys of `fovconn play`, and how held keys become a stick that feels analog. Knows names of keys, no library.
+"""The keys of `fovconn play`, and a `Stick` with ramps from held keys. Imports no library.
 
-A name is that of `pygame.key.name`, with "shift+" before it where that key was down as well.
+Names are those of `pygame.key.name`, with "shift+" in front if Shift is held.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ FALL = 0.25  # s from the whole stick back to rest
 
 
 class Key(NamedTuple):
-    """One row of the key table. An axis of `Stick` is pushed while a key is held; anything else is done once."""
+    """One row of the key table. A held key pushes an axis of `Stick`; other keys run a command once."""
 
     names: tuple[str, ...]
     does: str  # axis of `Stick`, or a command of `cockpit.Cockpit`
     words: str
-    value: int = 0  # direction of an axis, or what the command is told
+    value: int = 0  # direction of an axis, or argument of the command
 
 
 TABLE: dict[str, tuple[Key, ...]] = {
@@ -68,24 +68,24 @@ MOUSE = (("drag", "turn the view"), ("wheel", "nearer, farther"), ("right click"
 _BY_NAME = {name: key for keys in TABLE.values() for key in keys for name in key.names}
 
 
-def find(name: str) -> Key | None:
-    """The key of a name; Shift does not matter for keys that it does not change."""
+def find_key(name: str) -> Key | None:
+    """The row of a key name, or None; Shift is ignored for keys without a row of their own for it."""
     return _BY_NAME.get(name) or _BY_NAME.get(name.removeprefix("shift+"))
 
 
 def rows(group: str) -> list[tuple[str, str]]:
-    """(keys, what they do) of a group for people, one row for the numbers and for a pair with Shift."""
-    found = []
+    """(keys, description) of a group for people; one row for all numbers, and one for a pair with Shift."""
+    table = []
     for key in TABLE[group]:
         if key.does == "fly":
             if key.value == 0:
-                found.append(("1-9", "fly that robot"))
+                table.append(("1-9", "fly that robot"))
         elif key.names[0].startswith("shift+"):
-            keys, words = found[-1]
-            found[-1] = f"{keys}, Shift+{keys}", words.replace("next", "next, previous")
+            keys, words = table[-1]
+            table[-1] = f"{keys}, Shift+{keys}", words.replace("next", "next, previous")
         else:
-            found.append((" ".join(_label(name) for name in key.names), key.words))
-    return found
+            table.append((" ".join(_label(name) for name in key.names), key.words))
+    return table
 
 
 def _label(name: str) -> str:
@@ -94,40 +94,40 @@ def _label(name: str) -> str:
 
 
 class Keyboard:
-    """Held keys as a stick: an axis moves towards what is held, as fast as RISE and FALL say."""
+    """Held keys as a stick: an axis ramps towards the held direction, with the times RISE and FALL."""
 
     def __init__(self) -> None:
         self._held: set[str] = set()
         self._stick = Stick()
 
     def press(self, name: str) -> bool:
-        """A key went down; tells whether it moves the stick."""
+        """Handle a pressed key; return whether it moves the stick."""
         name = name.removeprefix("shift+")
-        key = find(name)
+        key = find_key(name)
         if key is None or key.does not in Stick._fields:
             return False
         self._held.add(name)
         return True
 
     def release(self, name: str) -> None:
-        """A key went up."""
+        """Handle a released key."""
         self._held.discard(name.removeprefix("shift+"))
 
     def release_all(self) -> None:
-        """No key is held any more, as where the window lost the keyboard; the stick goes to rest by itself."""
+        """Release all keys, for a window that lost the keyboard; the stick ramps to rest."""
         self._held.clear()
 
     def update(self, duration: float) -> Stick:
         """The stick after `duration`, s."""
         goals = dict.fromkeys(Stick._fields, 0)
-        for key in {found for name in self._held if (found := find(name))}:
+        for key in {key for name in self._held if (key := find_key(name))}:
             goals[key.does] += key.value
         self._stick = Stick(*(ramp(now, goals[axis], duration) for axis, now in self._stick._asdict().items()))
         return self._stick
 
 
 def ramp(now: float, goal: float, duration: float) -> float:
-    """An axis after `duration`, s, on its way to a goal: back to rest by FALL, then away from it by RISE."""
+    """An axis after `duration`, s, of a ramp to a goal: towards rest with FALL, away from rest with RISE."""
     if now * goal < 0.0 or abs(goal) < abs(now):
         stop = goal if now * goal > 0.0 else 0.0
         spent = abs(now - stop) * FALL

@@ -1,4 +1,4 @@
-"""What a flight was worth, in a few numbers."""
+"""The score of a flight."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from fovconn_env.sim.simulator import Simulator
 
 
 class Score(NamedTuple):
-    """Of one flight, as far as it has come."""
+    """Score of one flight so far."""
 
     outcome: str  # one of recording.OUTCOMES
     time: float  # s
-    progress: float  # way of the leader by the way it was pulled, NaN if nobody was
+    progress: float  # distance along the stick by the distance that the stick asked for, NaN without a leader
     kept: float  # share of the time in which the team was connected
     least_lambda2: float
 
 
 def score_of(simulator: Simulator, meter: Meter) -> Score:
-    """The score of a simulator's first world, which the meter has followed."""
-    found = {name: float(values[0]) for name, values in meter.results().items()}
+    """The score of a simulator's first world, from its meter."""
+    results = {name: float(values[0]) for name, values in meter.results().items()}
     time = float(simulator.state.episode["step"][0]) * simulator.scenario.step_time
-    progress = math.nan if simulator.leader == "none" else found["progress"]
-    return Score(outcome(simulator), time, progress, found["connected_share"], found["min_lambda2"])
+    progress = math.nan if simulator.leader == "none" else results["progress"]
+    return Score(outcome(simulator), time, progress, results["connected_share"], results["min_lambda2"])

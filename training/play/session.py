@@ -1,4 +1,4 @@
-"""A person among the robots: who flies what, step by step. No window, no clock: the same sticks, the same bits."""
+"""A flight of a person and a policy together, step by step. Without window and clock: equal sticks give equal bits."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from fovconn_env.training.play.stick import REST, Stick, velocity
 
 
 class Session:
-    """One flight after the other. A person flies at most one robot, the policy all others.
+    """One flight after another. The person flies at most one robot, the policy flies all others.
 
-    The leader is pulled by the person who flies it, and flies the policy beside, as in the paper; else by the script of
-    way points, unless that is switched off. Any other robot does what the person says and nothing else. Methods for
-    people return a sentence about what they did. Scenarios without a leader have none here, either.
+    A person who flies the leader moves its stick; the policy acts as well, as in the paper. Otherwise the script of way
+    points moves the stick, unless it is switched off. Any other robot gets the person's command alone. Commands return
+    a sentence for the person. A scenario without a leader has no stick.
     """
 
     def __init__(
@@ -39,48 +39,49 @@ class Session:
     ) -> None:
         """changes: settings, as `fovconn_env.scenario` takes them, for this and later scenarios.
 
-        record: file for the first flight, .npz; later ones get a number. Raises `ValueError` for what cannot be flown.
+        record: file of the first flight, .npz; later ones get a number. Raises `ValueError` for an invalid scenario,
+        policy or file.
         """
         self._changes, self._record, self._flights = changes or {}, record, 0
         if record is not None and record.suffix != ".npz":
             raise ValueError(f"--record must name a file in .npz, got {str(record)!r}: add the ending")
-        self.scripted = True  # the script pulls a leader that the person does not fly
+        self.scripted = True  # the script moves the stick of a leader that the person does not fly
         self.files: list[Path] = []  # recordings written
-        self._board(name, policy, seed)
+        self._start_session(name, policy, seed)
 
     # --------------------------------------------------------------------------------------------------- the flight
     def step(self, stick: Stick = REST, heading: float | None = None) -> None:
         """Fly one step; the last one of a flight writes its recording.
 
-        heading: where the stick's forward points, rad in the world frame, None for where the flown robot looks.
+        heading: world direction of the stick's forward, rad; None for the flown robot's heading.
         """
         if self.over:
             return
         self._stick, self._heading = stick, heading
         if self.led:
-            own_pull = self.flown == self.leader
-            self.simulator.push(self._velocity() if own_pull else script_stick(self.simulator) * self.scripted)
+            person_leads = self.flown == self.leader
+            self.simulator.push(self._velocity() if person_leads else script_stick(self.simulator) * self.scripted)
         next(self._rollout)
         if self.over:
             self.save()
 
     def again(self) -> str:
-        """The same flight from its start; who flies what stays."""
-        self._begin(self.seed)
+        """Restart the same flight; the flown robot stays."""
+        self._start_flight(self.seed)
         return f"flight {self.seed} from its start"
 
     def new_seed(self) -> str:
-        """The next seed's flight."""
-        self._begin(self.seed + 1)
+        """Start the flight of the next seed."""
+        self._start_flight(self.seed + 1)
         return f"flight {self.seed}"
 
     def save(self) -> Path | None:
-        """Write the flight's recording, if it is recorded and there is anything of it; returns the file."""
+        """Write the recording, if the flight is recorded and has steps; return the file."""
         if self._record is None or not self.steps:
             return None
         number = f"-{self._flights}" if self._flights > 1 else ""
         path = self._record.with_stem(self._record.stem + number)
-        self._recorder.policies = tuple(", ".join(words) for words in self._words)
+        self._recorder.policies = tuple(", ".join(pilots) for pilots in self._pilots)
         self._recorder.recording().save(path)
         if path not in self.files:
             self.files.append(path)
@@ -88,18 +89,18 @@ class Session:
 
     # ---------------------------------------------------------------------------------------------- who flies what
     def fly(self, robot: int) -> str:
-        """Take over a robot; the one flown before goes back to the policy."""
+        """Take over a robot; the previous one goes back to the policy."""
         if robot >= self.scenario.n_agents:
             return f"there are {self.scenario.n_agents} robots"
         if not self.simulator.state.body["alive"][0, robot]:
             return f"robot {robot + 1} is down"
         if robot == self.flown:
             return f"you fly robot {robot + 1} already"
-        self._change(robot)
+        self._change_robot(robot)
         return f"you fly robot {robot + 1}{', the leader' if self.led and robot == self.leader else ''}"
 
     def next_robot(self, step: int) -> str:
-        """Take over the next robot that works, or with -1 the previous one."""
+        """Take over the next robot that is alive, or with -1 the previous one."""
         n = self.scenario.n_agents
         first = self.flown if self.flown is not None else -1 if step > 0 else 0
         order = ((first + step * k) % n for k in range(1, n + 1))
@@ -111,7 +112,7 @@ class Session:
         if self.flown is None:
             return "you fly none; 1-9 takes one over"
         robot = self.flown
-        self._change(None)
+        self._change_robot(None)
         by = "the script" if self.scripted and self.led and robot == self.leader else self.policy
         return f"robot {robot + 1} is handed back to {by}"
 
@@ -126,7 +127,7 @@ class Session:
         return f"robot {self.flown + 1} leads"
 
     def script(self) -> str:
-        """Switch the script on or off that pulls a leader whom the person does not fly."""
+        """Switch the script on or off that moves the stick of a leader that the person does not fly."""
         if not self.led:
             return f"{self.scenario.name} has no leader"
         self.scripted = not self.scripted
@@ -135,33 +136,33 @@ class Session:
         return "the script pulls the leader while you do not" if self.scripted else "nobody pulls while you do not"
 
     def release(self) -> None:
-        """The stick goes to rest at once (a gamepad is gone): the flown robot comes to it without a jump."""
+        """Hand the flown robot over to a stick at rest, for a gamepad that was unplugged."""
         if self.flown is not None:
             self.handover.begin(self.flown)
 
     # -------------------------------------------------------------------------------------------- policy and scenario
     def next_policy(self, step: int) -> str:
-        """The next policy, or with -1 the previous one; in flight, unless it needs other equipment."""
+        """Change to the next policy, or with -1 the previous one; the flight restarts if it has other `overrides`."""
         names = list(dict.fromkeys([*POLICIES, self.policy]))
         name = names[(names.index(self.policy) + step) % len(names)]
         if find_policy(name).overrides != find_policy(self.policy).overrides:
-            self._board(self._name, name, self.seed)
+            self._start_session(self._name, name, self.seed)
             return f"{name}: other equipment, so the flight begins again"
         self.policy, self._policy = name, find_policy(name)(self.scenario)
         self.handover.begin(*range(self.scenario.n_agents))
-        self._note()
+        self._note_pilots()
         return f"policy {name}"
 
     def next_scenario(self, step: int) -> str:
-        """The next scenario, or with -1 the previous one; the settings that were changed at the start hold there, too.
+        """Change to the next scenario, or with -1 the previous one, with the same changed settings.
 
-        Those that cannot be made with these settings are left out.
+        Scenarios that cannot be made with these settings are skipped.
         """
         names, problem = list(PRESETS), ""
         first = names.index(self._name)
         for k in range(1, len(names)):
             try:
-                self._board(names[(first + step * k) % len(names)], self.policy, self.seed)
+                self._start_session(names[(first + step * k) % len(names)], self.policy, self.seed)
             except ValueError as error:
                 problem = problem or f", after one that cannot be had: {error}"
                 continue
@@ -171,42 +172,42 @@ class Session:
     # ------------------------------------------------------------------------------------------------------- results
     @property
     def leader(self) -> int:
-        """Who leads now."""
+        """Index of the present leader."""
         return int(self.simulator.state.episode["leader"][0])
 
     @property
     def over(self) -> bool:
-        """The flight has ended."""
+        """Whether the flight has ended."""
         return bool(self.simulator.over[0])
 
     @property
     def steps(self) -> int:
-        """Steps flown."""
+        """Number of flown steps."""
         return int(self.simulator.state.episode["step"][0])
 
     @property
     def speed(self) -> float:
-        """Of the flown robot, or of the leader, m/s."""
+        """Speed of the flown robot, or of the leader, m/s."""
         body = self.simulator.state.body[0, self.leader if self.flown is None else self.flown]
         return math.hypot(body["vx"], body["vy"], body["vz"])
 
     @property
     def full_stick(self) -> float:
-        """What the whole stick stands for, m/s."""
-        pulls = self.led and self.flown in (None, self.leader)
-        return min(self.scenario.stick_speed, self.scenario.speed_limit) if pulls else self.scenario.speed_limit
+        """Speed of a full stick, m/s."""
+        person_leads = self.led and self.flown in (None, self.leader)
+        return min(self.scenario.stick_speed, self.scenario.speed_limit) if person_leads else self.scenario.speed_limit
 
     def yaw(self) -> float:
         """Heading of the flown robot, or of the leader, rad in the world frame."""
         return float(self.simulator.state.body["yaw"][0, self.leader if self.flown is None else self.flown])
 
     def score(self) -> Score:
-        """Of the flight so far."""
+        """Score of the flight so far."""
         return score_of(self.simulator, self._meter)
 
     # ------------------------------------------------------------------------------------------------------- inside
-    def _board(self, name: str, policy: str, seed: int) -> None:
-        """Begin a flight in another scenario or with another policy; nothing changes where that is impossible."""
+    def _start_session(self, name: str, policy: str, seed: int) -> None:
+        """Start a flight with another scenario or policy; an error leaves the session unchanged."""
         kind = find_policy(policy)
         base = scenario(name, **self._changes)
         wanted = kind.equip(base)
@@ -216,15 +217,15 @@ class Session:
         led = wanted.leader != "none"
         chosen: Scenario = dataclasses.replace(wanted, leader="human") if led else wanted
         simulator, pilot_ = Simulator(chosen, starts=base), kind(chosen)
-        simulator.reset(seed)  # a start may not be found
+        simulator.reset(seed)  # raises if there is no start
         if self._flights:
             self.save()
         self._name, self.policy, self._policy, self.scenario, self.led = name, policy, pilot_, chosen, led
         self.simulator = simulator
         self.flown: int | None = chosen.leader_index if led else None
-        self._begin(seed, saved=True)
+        self._start_flight(seed, saved=True)
 
-    def _begin(self, seed: int, *, saved: bool = False) -> None:
+    def _start_flight(self, seed: int, *, saved: bool = False) -> None:
         if not saved:
             self.save()
         self.simulator.reset(seed)
@@ -236,28 +237,28 @@ class Session:
         self._rollout = steps(self.simulator, self._act, observers)
         next(self._rollout)  # the start
         self.handover = Handover(self.scenario.n_agents)
-        self._words: list[list[str]] = [[] for _ in range(self.scenario.n_agents)]
+        self._pilots: list[list[str]] = [[] for _ in range(self.scenario.n_agents)]
         if self.flown is not None and self.led and self.flown != self.scenario.leader_index:
-            self.flown = self.scenario.leader_index  # who led at the end leads no more
-        self._note()
+            self.flown = self.scenario.leader_index  # the scenario's leader leads again
+        self._note_pilots()
 
-    def _change(self, robot: int | None) -> None:
-        """Give the person another robot, or none."""
+    def _change_robot(self, robot: int | None) -> None:
+        """Make another robot, or none, the flown one."""
         self.handover.begin(*{k for k in (robot, self.flown) if k is not None})
         self.flown = robot
-        self._note()
+        self._note_pilots()
 
-    def _note(self) -> None:
-        """Who flew each robot, for the recording."""
-        for robot, words in enumerate(self._words):
-            words += [word for word in (self.policy, "human" * (robot == self.flown)) if word and word not in words]
+    def _note_pilots(self) -> None:
+        """Note the pilots of each robot, for the recording."""
+        for robot, pilots in enumerate(self._pilots):
+            pilots += [name for name in (self.policy, "human" * (robot == self.flown)) if name and name not in pilots]
 
     def _act(self, _: np.ndarray) -> np.ndarray:
         """Actions (1, N, 4) of the next step: the policy's, but for the robot that the person flies."""
         actions = decide(self._policy, self.simulator)
         if self.flown is not None:
-            self._take(actions[0, self.flown], self._stick)
-        self.handover.soften(self.simulator, actions[0])
+            self._write_command(actions[0, self.flown], self._stick)
+        self.handover.limit_rates(self.simulator, actions[0])
         return actions
 
     def _velocity(self) -> np.ndarray:
@@ -265,8 +266,8 @@ class Session:
         turn = 0.0 if self._heading is None else self._heading - self.yaw()
         return velocity(self._stick, self.full_stick, turn)
 
-    def _take(self, action: np.ndarray, stick: Stick) -> None:
-        """Put what the person wants into the flown robot's action (4,); a leader's velocity is the operator's stick."""
+    def _write_command(self, action: np.ndarray, stick: Stick) -> None:
+        """Write the person's command to the flown robot's action (4,); a leader's velocity is the operator's stick."""
         if self.led and self.flown == self.leader:
             action[3] = (1.0 - abs(stick.yaw)) * action[3] + stick.yaw
             return

@@ -1,4 +1,4 @@
-"""What a person's hands ask for, as shares of the most there is; where it comes from does not matter."""
+"""The input of a person, from any device, as shares of the greatest velocity and yaw rate."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Stick(NamedTuple):
 REST = Stick()
 
 
-def together(*sticks: Stick) -> Stick:
+def add_sticks(*sticks: Stick) -> Stick:
     """The sum of sticks, velocity at most 1 in Euclidean norm with its direction kept, yaw at most 1."""
     forward, left, up, yaw = (math.fsum(column) for column in zip(*sticks, strict=True))
     scale = 1.0 / max(math.hypot(forward, left, up), 1.0)
@@ -28,6 +28,6 @@ def together(*sticks: Stick) -> Stick:
 
 
 def velocity(stick: Stick, speed: float, turn: float) -> np.ndarray:
-    """(3,) m/s in a robot's yaw frame; speed of the whole stick, m/s; turn: from that frame to the stick's, rad."""
+    """Velocity (3,), m/s, yaw frame. speed: of a full stick, m/s; turn: from the yaw frame to the stick's, rad."""
     c, s = math.cos(turn), math.sin(turn)
     return speed * np.array([c * stick.forward - s * stick.left, s * stick.forward + c * stick.left, stick.up])

@@ -17,7 +17,7 @@ from PIL import Image
 from fovconn_env.flights.flight import Flight
 from fovconn_env.render.figures import style
 from fovconn_env.render.figures.gif import write_gif
-from fovconn_env.render.figures.scene import Scene, arrow_shape, body_shapes, draw_ground, turned
+from fovconn_env.render.figures.scene import Scene, arrow_shape, body_shapes, draw_ground, rotate_quarter
 from fovconn_env.render.figures.timelines import plot_lambda2
 
 WIDTH, HEIGHT = 8.0, 7.0  # inches; 800 x 700 pixels in the animation
@@ -28,7 +28,7 @@ _HOLD = 2.0  # s the last frame stays
 
 
 class Movie:
-    """A page on which one instant of a flight after another is drawn: what stands still is drawn once and copied."""
+    """Frames of a flight. The static background is drawn once and copied."""
 
     def __init__(self, flight: Flight, dpi: float = 100.0) -> None:
         self._flight, self._edges = flight, flight.n_edges
@@ -36,13 +36,13 @@ class Movie:
             self._figure = Figure(figsize=(WIDTH, HEIGHT), dpi=dpi, facecolor="white")
             self._canvas = FigureCanvasAgg(self._figure)
             above = self._figure.add_axes(_SCENE)
-            shown, metre = _frame_view(above, flight)
+            shown, points_per_metre = _fit_axes(above, flight)
             start = shown.poses[0, [shown.scenario.leader_index], :2]
             draw_ground(above, shown.pieces, shown.vertices, np.vstack([start, shown.waypoints[:, :2]]))
-            self._shown, self._scene = shown, Scene(above, shown.scenario, metre)
+            self._shown, self._scene = shown, Scene(above, shown.scenario, points_per_metre)
             self._moving = [(above, artist) for artist in self._scene.artists]
             strip = self._figure.add_axes(_STRIP)
-            self._draw_strip(strip)
+            self._draw_lambda2(strip)
             self._draw_legend()
             for _, artist in self._moving:
                 artist.set_animated(True)
@@ -65,7 +65,7 @@ class Movie:
             axes.draw_artist(artist)
         return np.array(self._canvas.buffer_rgba())[..., :3]
 
-    def _draw_strip(self, strip: Axes) -> None:
+    def _draw_lambda2(self, strip: Axes) -> None:
         flight = self._flight
         plot_lambda2(strip, flight)
         strip.set(xlabel="time (s)", ylabel=r"$\lambda_2$", xlim=(0, flight.time[-1]))
@@ -93,8 +93,8 @@ class Movie:
                 Line2D([], [], color=style.LEADER, marker=arrow, ls="", ms=18, mew=0, label="operator's stick")
             )
             handles.append(Line2D([], [], color=style.OPERATOR, marker="*", ls="", ms=11, label="way point"))
-        place = {"loc": "lower left", "bbox_to_anchor": (0.003, 0.288), "columnspacing": 1.6, "handletextpad": 0.6}
-        self._figure.legend(handles=handles, ncols=len(handles), **place)
+        layout = {"loc": "lower left", "bbox_to_anchor": (0.003, 0.288), "columnspacing": 1.6, "handletextpad": 0.6}
+        self._figure.legend(handles=handles, ncols=len(handles), **layout)
 
 
 def animate(
@@ -105,21 +105,21 @@ def animate(
     speedup: float = 4.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write a flight as a GIF of `fps` frames a second, `speedup` times as fast as it was; the last frame stays 2 s.
+    """Write a flight as a GIF of `fps` frames a second at `speedup` times real time; the last frame stays 2 s.
 
-    progress: called with the number of frames drawn and of all frames.
+    progress: called with the number of drawn frames and of all frames.
     """
-    chosen = frame_indices(flight.time, speedup / fps)
+    indices = frame_indices(flight.time, speedup / fps)
     movie = Movie(flight)
-    samples = [movie.frame(int(k)) for k in chosen[:: max(1, len(chosen) // 6)]]
+    samples = [movie.frame(int(k)) for k in indices[:: max(1, len(indices) // 6)]]
 
     def frames() -> Iterator[np.ndarray]:
-        for done, k in enumerate(chosen, start=1):
+        for done, k in enumerate(indices, start=1):
             yield movie.frame(int(k))
             if progress is not None:
-                progress(done, len(chosen))
+                progress(done, len(indices))
 
-    durations = [round(1000 / fps)] * (len(chosen) - 1) + [round(1000 * _HOLD)]
+    durations = [round(1000 / fps)] * (len(indices) - 1) + [round(1000 * _HOLD)]
     write_gif(path, frames(), samples, durations)
     return path
 
@@ -134,29 +134,29 @@ def snapshot(flight: Flight, path: Path, *, time: float | None = None, dpi: floa
 
 def frame_indices(time: np.ndarray, interval: float) -> np.ndarray:
     """Indices of the instants 0, interval, 2 interval, ... (s) and of the last one."""
-    wanted = np.arange(0.0, time[-1] - 1e-9, interval)
-    return np.append(np.searchsorted(time, wanted - 1e-9), len(time) - 1)
+    times = np.arange(0.0, time[-1] - 1e-9, interval)
+    return np.append(np.searchsorted(time, times - 1e-9), len(time) - 1)
 
 
-def _frame_view(axes: Axes, flight: Flight) -> tuple[Flight, float]:
-    """Fit the axes to the flight, turned by a quarter where that shows it larger; returns it and points a metre."""
+def _fit_axes(axes: Axes, flight: Flight) -> tuple[Flight, float]:
+    """Fit the axes to the flight, rotated by a quarter turn if it is larger then; return it and points per metre."""
     width, height = 72 * WIDTH * _SCENE[2], 72 * HEIGHT * _SCENE[3]  # points
 
     def extent(shown: Flight) -> tuple[np.ndarray, np.ndarray]:
-        places = np.concatenate([shown.poses[..., :2].reshape(-1, 2), shown.waypoints[:, :2]])
-        return places.min(0) - _MARGIN, places.max(0) + _MARGIN
+        points = np.concatenate([shown.poses[..., :2].reshape(-1, 2), shown.waypoints[:, :2]])
+        return points.min(0) - _MARGIN, points.max(0) + _MARGIN
 
     def scale(shown: Flight) -> float:
         low, high = extent(shown)
         return min(width / (high - low)[0], height / (high - low)[1])
 
-    shown = max(flight, turned(flight), key=scale)
-    metre, (low, high) = scale(shown), extent(shown)
-    (x, y), half = (low + high) / 2, np.array([width, height]) / metre / 2
+    shown = max(flight, rotate_quarter(flight), key=scale)
+    points_per_metre, (low, high) = scale(shown), extent(shown)
+    (x, y), half = (low + high) / 2, np.array([width, height]) / points_per_metre / 2
     axes.set(xlim=(x - half[0], x + half[0]), ylim=(y - half[1], y + half[1]))
     axes.set_xticks(np.arange(np.ceil((x - half[0]) / 5) * 5, x + half[0], 5.0))
     axes.set_yticks(np.arange(np.ceil((y - half[1]) / 5) * 5, y + half[1], 5.0))
     axes.tick_params(length=0, labelbottom=False, labelleft=False)
     axes.spines[["top", "right"]].set_visible(True)
     axes.text(0.992, 0.015, "grid 5 m", transform=axes.transAxes, ha="right", fontsize=8, color=style.FAINT)
-    return shown, metre
+    return shown, points_per_metre

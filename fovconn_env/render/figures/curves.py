@@ -17,34 +17,34 @@ def draw_potential(
     """Fig. 2: V over lambda2, V on a logarithmic axis.
 
     lambda2 (L,), increasing, above the asymptote; value (L,), V of it; bounds: lambda2_min, where V has its asymptote,
-    and lambda2_max, from where on it is 0. The law takes a lambda2 below lambda2_min + clamp for that value.
+    and lambda2_max, above which V is 0. The law clamps lambda2 to lambda2_min + clamp.
     """
-    (low, high), held = bounds, bounds[0] + clamp
+    (low, high), clamped = bounds, bounds[0] + clamp
     figure = style.sheet(7.5, 3.6)
     axes = figure.add_subplot()
     shown = value > 0
     floor, top = float(np.interp(0.97 * high, lambda2, value)), float(value.max())
     axes.set(yscale="log", xlim=(-0.03 * high, 1.08 * high), ylim=(floor, 3.0 * top))
-    acts = lambda2 >= held
-    axes.plot(lambda2[~acts], value[~acts], ls=":", color=style.FAINT, lw=1.4)
-    axes.plot(lambda2[acts & shown], value[acts & shown], color="#0072B2", lw=2.0)
+    active = lambda2 >= clamped
+    axes.plot(lambda2[~active], value[~active], ls=":", color=style.FAINT, lw=1.4)
+    axes.plot(lambda2[active & shown], value[active & shown], color="#0072B2", lw=2.0)
     axes.axvline(low, color=style.TRUTH, ls="--", lw=1.1)
     axes.axvline(high, color=style.FAINT, ls="--", lw=1.1)
     note = {"textcoords": "offset points", "va": "center", "fontsize": 8.5}
-    grip = {"arrowstyle": "-", "color": style.FAINT, "lw": 0.7}
+    leader_line = {"arrowstyle": "-", "color": style.FAINT, "lw": 0.7}
     axes.annotate(
         rf"asymptote at $\lambda_2^{{\min}} = {low:g}$",
         (low, 1.6 * top),
         (24, 0),
         color=style.TRUTH,
-        arrowprops=grip | {"color": style.TRUTH},
+        arrowprops=leader_line | {"color": style.TRUTH},
         **note,
     )
     if clamp > 0:
-        at = float(np.interp(held, lambda2, value))
-        text = rf"slope held below $\lambda_2 = {held:g}$ (clamp {clamp:g})"
-        axes.plot(held, at, "o", color="#0072B2", ms=5)
-        axes.annotate(text, (held, at), (24, 0), arrowprops=grip, **note)
+        height = float(np.interp(clamped, lambda2, value))
+        text = rf"slope held below $\lambda_2 = {clamped:g}$ (clamp {clamp:g})"
+        axes.plot(clamped, height, "o", color="#0072B2", ms=5)
+        axes.annotate(text, (clamped, height), (24, 0), arrowprops=leader_line, **note)
     axes.annotate(rf"$V = 0$ from $\lambda_2^{{\max}} = {high:g}$", (high, 0.3 * top), (-6, 0), ha="right", **note)
     axes.set(xlabel=r"$\lambda_2$", ylabel=r"$V^\lambda(\lambda_2)$")
     return figure

@@ -25,15 +25,15 @@ def draw_all(
 ) -> list[Path]:
     """Write the paper's figures as PNG and Table I as Markdown into a folder; returns the paths in the paper's order.
 
-    potential: lambda2 and V of it in the control law, for Fig. 2, which is left out without. law: the law's gains by
-    name, further rows of Table I; `clamp` among them is marked in Fig. 2.
+    potential: lambda2 and V(lambda2) of the control law, for Fig. 2; None leaves it out. law: the law's gains by name,
+    more rows of Table I; `clamp` is marked in Fig. 2.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    drawn = {}
+    figures = {}
     if potential is not None:
         bounds = flight.scenario.lambda2_min, flight.scenario.lambda2_max
-        drawn["fig2_potential"] = draw_potential(*potential, bounds, clamp=(law or {}).get("clamp", 0.0))
-    drawn |= {
+        figures["fig2_potential"] = draw_potential(*potential, bounds, clamp=(law or {}).get("clamp", 0.0))
+    figures |= {
         "fig3_activation": draw_activation(),
         "fig4_trajectories": draw_trajectories(flight),
         "fig5_top_view": draw_top_view(flight),
@@ -42,4 +42,4 @@ def draw_all(
     }
     table = folder / "table1_parameters.md"
     write_text(table, markdown(parameters(flight.scenario, law)))
-    return [*(style.save(figure, folder / f"{name}.png") for name, figure in drawn.items()), table]
+    return [*(style.save(figure, folder / f"{name}.png") for name, figure in figures.items()), table]

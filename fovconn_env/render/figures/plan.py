@@ -1,4 +1,4 @@
-"""A map from above, as an author checks it: obstacles with their heights, what they keep clear, and starts."""
+"""A map from above, for its author: obstacles with their heights, the clearance around them, and starts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from fovconn_env.render.figures.scene import body_shapes
 from fovconn_env.render.obstacles import outlines
 from fovconn_env.scenarios.scenario import Scenario
 
-_LABELS = 40  # obstacles that are labelled, at most
+_LABELS = 40  # greatest number of obstacles that get labels
 _FREE = "#F3E3DF"
 _TOPS: Colormap = LinearSegmentedColormap.from_list("tops", ["#DCE9F2", "#5B8DB0"])
 
@@ -62,13 +62,13 @@ def draw_plan(
 
 
 def _draw_obstacles(figure: Figure, axes: Axes, pieces: np.ndarray, shapes: list[np.ndarray]) -> None:
-    """Pieces coloured by their tops, grey where they reach as high as the world; each obstacle labelled."""
-    tall, tops = _tall(pieces), pieces["high"]
-    known = tops[~tall]
-    scale = Normalize(*((known.min(), known.max()) if len(known) else (0.0, 1.0)))
+    """Draw pieces coloured by their tops, grey at full height, and label each obstacle."""
+    tall, tops = _is_full_height(pieces), pieces["high"]
+    shown = tops[~tall]
+    scale = Normalize(*((shown.min(), shown.max()) if len(shown) else (0.0, 1.0)))
     colors = [style.OBSTACLE if full else _TOPS(scale(top)) for full, top in zip(tall, tops, strict=True)]
     axes.add_collection(PolyCollection(shapes, fc=colors, ec=colors, lw=0.5, zorder=2), autolim=False)
-    if len(set(known.tolist())) > 1:
+    if len(set(shown.tolist())) > 1:
         figure.colorbar(ScalarMappable(scale, _TOPS), ax=axes, label="top of an obstacle (m)", shrink=0.6, pad=0.02)
     numbers = np.unique(pieces["source"])
     widths = np.array([np.ptp(shape, axis=0).prod() for shape in shapes])
@@ -77,35 +77,35 @@ def _draw_obstacles(figure: Figure, axes: Axes, pieces: np.ndarray, shapes: list
         k = k[widths[k].argmax()]  # on its largest piece
         heights = "" if tall[k] else f": {pieces['low'][k]:g} to {pieces['high'][k]:g} m"
         at = (shapes[k].min(0) + shapes[k].max(0)) / 2
-        look: Any = {"ha": "center", "va": "center", "fontsize": 7.5, "path_effects": style.HALO, "zorder": 6}
-        axes.annotate(f"{number}{heights}", at, annotation_clip=True, color=style.DARK, **look)
+        text_style: Any = {"ha": "center", "va": "center", "fontsize": 7.5, "path_effects": style.HALO, "zorder": 6}
+        axes.annotate(f"{number}{heights}", at, annotation_clip=True, color=style.DARK, **text_style)
 
 
 def _draw_bounds(axes: Axes, corners: np.ndarray) -> None:
-    """The bounding box of all obstacles, its size written above."""
+    """Draw the bounding box of all obstacles with its size."""
     low, size = corners.min(0), np.ptp(corners, axis=0)
     axes.add_patch(Rectangle(tuple(low), *size, fc="none", ec=style.FAINT, lw=0.8, ls=(0, (5, 3)), zorder=3))
     place = (low[0], low[1] + size[1])
-    look: Any = {"color": style.FAINT, "fontsize": 8, "path_effects": style.HALO, "zorder": 6}
-    axes.annotate(f"{size[0]:.1f} x {size[1]:.1f} m", place, (2, 3), textcoords="offset points", **look)
+    text_style: Any = {"color": style.FAINT, "fontsize": 8, "path_effects": style.HALO, "zorder": 6}
+    axes.annotate(f"{size[0]:.1f} x {size[1]:.1f} m", place, (2, 3), textcoords="offset points", **text_style)
 
 
 def _draw_starts(axes: Axes, scenario: Scenario, starts: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
-    """Robots in their size where they start, and the leader's way from there."""
+    """Draw robots in true size at their starts, and the leader's course."""
     colors = palette.colors_of(scenario)
     for poses, waypoints in starts:
         bodies = body_shapes(poses, scenario.collision_robot / 2)
         axes.add_collection(PolyCollection(list(bodies), fc=colors, ec="white", lw=0.3, zorder=5), autolim=False)
         if len(waypoints):
-            way = np.vstack([poses[[scenario.leader_index], :2], waypoints[:, :2]])
+            course = np.vstack([poses[[scenario.leader_index], :2], waypoints[:, :2]])
             axes.add_collection(
-                LineCollection([way], colors=style.OPERATOR, lw=0.8, alpha=0.6, zorder=4), autolim=False
+                LineCollection([course], colors=style.OPERATOR, lw=0.8, alpha=0.6, zorder=4), autolim=False
             )
             axes.plot(*waypoints[:, :2].T, "*", color=style.OPERATOR, mec="white", mew=0.4, ms=7, zorder=4.5)
 
 
-def _tall(pieces: np.ndarray) -> np.ndarray:
-    """Which pieces (P,) are as high as the world."""
+def _is_full_height(pieces: np.ndarray) -> np.ndarray:
+    """Pieces that have the full default height, (P,) bool."""
     return (pieces["low"] <= LOW) & (pieces["high"] >= HIGH)
 
 
@@ -114,7 +114,7 @@ def _legend(scenario: Scenario, pieces: np.ndarray, starts: Sequence) -> list[Li
     if len(pieces):
         clear = f"no start, no way point: {scenario.start.clearance:g} m around, below and above"
         handles.append(Patch(fc=_FREE, label=clear))
-    if _tall(pieces).any():
+    if _is_full_height(pieces).any():
         handles.append(Patch(fc=style.OBSTACLE, label="as high as the world"))
     if starts:
         many = f"{len(starts)} start{'s' if len(starts) > 1 else ''}"

@@ -19,7 +19,7 @@ from fovconn_env.scenarios.scenario import Scenario
 FOLLOWERS, LEADER, OBSTACLE = LIGHT.followers, LIGHT.leader, LIGHT.obstacle
 TRUTH, OPERATOR = LIGHT.truth, LIGHT.operator  # true lambda2, red as in the paper; stick and way points
 MUTUAL, ONE_WAY, FAINT, DARK = LIGHT.mutual, LIGHT.one_way, LIGHT.faint, LIGHT.text
-BAND = "#D3EDE0"  # where the operator pushes
+BAND = "#D3EDE0"  # phases of a nonzero stick
 GRID = "#E4E4E4"
 # Fig. 7, by class of sight (`sight.CLASSES`): nobody, i sees j only, j sees i only, both
 PHASES = ("#FFFFFF", "#BCD8F2", "#FBE58C", "#BDE5C6")
@@ -27,7 +27,7 @@ PHASES = ("#FFFFFF", "#BCD8F2", "#FBE58C", "#BDE5C6")
 HALO = (withStroke(linewidth=2.2, foreground="white"),)  # keeps text readable on lines
 
 DPI = 160
-_NAMED = 10  # robots that a legend names one by one
+_NAMED = 10  # greatest team of which a legend lists every robot
 RC: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
@@ -65,21 +65,21 @@ def save(figure: Figure, path: Path) -> Path:
 
 
 def names_of(scenario: Scenario) -> list[str]:
-    """What a legend calls each robot, (N,), counted from 1 as in the paper; in a large team only two have an entry."""
-    leader, many = leader_of(scenario), scenario.n_agents > _NAMED
+    """Legend entries of the robots, (N,), counted from 1 as in the paper; "" for most robots of a large team."""
+    leader, large = leader_of(scenario), scenario.n_agents > _NAMED
     names = [f"robot {i + 1}{' (leader)' if i == leader else ''}" for i in range(scenario.n_agents)]
     first = 1 if leader == 0 else 0
     return [
-        ("the others" if i == first else name if i == leader else "") if many else name for i, name in enumerate(names)
+        ("the others" if i == first else name if i == leader else "") if large else name for i, name in enumerate(names)
     ]
 
 
 def band(axes: Axes, time: np.ndarray, mask: np.ndarray, color: str) -> None:
-    """Shade the time spans in which `mask` (T,) holds; each instant stands for the step that ends there."""
+    """Shade the time spans in which `mask` (T,) holds; an instant is the step that ends at it."""
     for first, stop in runs(mask):
         axes.axvspan(float(time[max(first - 1, 0)]), float(time[stop - 1]), color=color, lw=0, zorder=0)
 
 
 def span(values: Sequence[float] | np.ndarray, margin: float) -> tuple[float, float]:
-    """Least and greatest value, moved apart by a margin."""
+    """Least value minus, and greatest value plus, a margin."""
     return float(np.min(values)) - margin, float(np.max(values)) + margin

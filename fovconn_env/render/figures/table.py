@@ -1,4 +1,4 @@
-"""Table I: the parameters in use, under the paper's symbols and the settings' names, beside the paper's values."""
+"""Table I: the parameters of a scenario, with the paper's symbols, the settings' names and the paper's values."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from fovconn_env.scenarios.scenario import Scenario
 
 
 class Parameter(NamedTuple):
-    """One row: what the paper calls it, where it is set, its value here and in the paper's Table I."""
+    """One row: the paper's symbol, the setting, its value, its unit, and the value in the paper's Table I."""
 
     symbol: str
     setting: str
@@ -59,15 +59,15 @@ def parameters(scenario: Scenario, law: Mapping[str, float] | None = None) -> li
         value = scenario
         for name in setting.split("."):
             value = getattr(value, name)
-        rows.append(Parameter(symbol, setting, _shown(value), unit, paper))
+        rows.append(Parameter(symbol, setting, _format_value(value), unit, paper))
     for name, value in (law or {}).items():
         symbol, unit, paper = _LAW_SYMBOLS.get(name, ("", "", "-"))
-        rows.append(Parameter(symbol, f"law: {name}", _shown(value), unit, paper))
+        rows.append(Parameter(symbol, f"law: {name}", _format_value(value), unit, paper))
     return rows
 
 
 def markdown(rows: list[Parameter]) -> str:
-    """The rows as a Markdown table, aligned so that it also reads as plain text, and how the figures count robots."""
+    """The rows as a Markdown table that is readable as plain text, and a note on the numbers of robots."""
     table = [("paper's symbol", "setting", "value", "unit", "Table I"), *rows]
     widths = [max(len(row[k]) for row in table) for k in range(len(table[0]))]
     lines = ["| " + " | ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)) + " |" for row in table]
@@ -76,7 +76,7 @@ def markdown(rows: list[Parameter]) -> str:
     return "\n".join([*lines, "", note, ""])
 
 
-def _shown(value: object) -> str:
+def _format_value(value: object) -> str:
     if isinstance(value, tuple):
-        return "[" + ", ".join(_shown(item) for item in value) + "]"
+        return "[" + ", ".join(_format_value(item) for item in value) + "]"
     return f"{value:.5g}" if isinstance(value, float) else str(value)

@@ -1,4 +1,4 @@
-"""What happened over time: connectivity (Fig. 6) and the relative yaw estimates (Fig. 7)."""
+"""Curves over time: connectivity (Fig. 6) and relative yaw estimates (Fig. 7)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fovconn_env.flights.flight import Flight
 from fovconn_env.render import palette, sight
 from fovconn_env.render.figures import style
 
-LOST_FOR = 1.0  # s without any sight after which meeting again is marked
+LOST_FOR = 1.0  # s without any sight after which regained sight is marked
 _INVALID = {"color": style.FAINT, "lw": 1.1, "ls": (0, (2, 1.5))}
 _VALID = {"color": style.DARK, "lw": 1.6}
 _REGAINED = {"color": style.TRUTH, "lw": 1.2, "ls": "--"}
@@ -44,10 +44,10 @@ def draw_connectivity(flight: Flight) -> Figure:
 
 @matplotlib.rc_context(style.RC)
 def draw_relative_yaw(flight: Flight, i: int | None = None, others: Sequence[int] | None = None) -> Figure:
-    """Fig. 7: sin((yaw_ij - its estimate) / 2) over time, on the phases of sight; dashed red where they meet again.
+    """Fig. 7: sin((yaw_ij - its estimate) / 2) over time, on the phases of sight; dashed red where sight is regained.
 
-    i: the robot that estimates, others: the robots j, two. Unless told, those whose sight of each other goes through
-    most of the four classes, so that the figure shows what there is to see.
+    i: the robot that estimates; others: the robots j. By default the robot and two others whose sight of each other
+    takes most of the four classes.
     """
     classes = sight.sight_class(flight.watch, flight.watch.swapaxes(1, 2))
     i = sight.observer(classes) if i is None else i
@@ -65,7 +65,7 @@ def draw_relative_yaw(flight: Flight, i: int | None = None, others: Sequence[int
         Patch(fc=style.PHASES[kind], ec="#BBBBBB", lw=0.6, label=name) for kind, name in zip(order, names, strict=True)
     ]
     lines = (("error", _VALID), ("error, estimate not valid", _INVALID), ("sight regained", _REGAINED))
-    handles += [Line2D([], [], label=name, **look) for name, look in lines]
+    handles += [Line2D([], [], label=name, **line_style) for name, line_style in lines]
     figure.legend(handles=handles, loc="outside lower center", ncols=4)
     return figure
 

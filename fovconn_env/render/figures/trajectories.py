@@ -1,4 +1,4 @@
-"""Where the robots flew: in space (Fig. 4) and from above (Fig. 5)."""
+"""Trajectories in 3-D (Fig. 4) and from above (Fig. 5)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _LEGEND = 0.12  # share of Fig. 4 that its legend takes
 
 @matplotlib.rc_context(style.RC)
 def draw_trajectories(flight: Flight) -> Figure:
-    """Fig. 4: the flight in 3-D with a dot every 5 s, the leader emphasised, starts hollow, way points as stars."""
+    """Fig. 4: the flight in 3-D with a dot every 5 s, a thicker leader, hollow starts, and way points as stars."""
     limits = [style.span(np.concatenate([flight.poses[..., k].ravel(), flight.waypoints[:, k]]), 1.0) for k in range(3)]
     spare = max(0.0, _LEAST_HEIGHT - (limits[2][1] - limits[2][0])) / 2
     limits[2] = limits[2][0] - spare, limits[2][1] + spare
@@ -53,7 +53,7 @@ def draw_trajectories(flight: Flight) -> Figure:
     for axis, nbins in zip(walls, (9, 9, 5), strict=True):
         axis.pane.set(facecolor="#F8F8F8", edgecolor=style.GRID)
         axis.set_major_locator(MaxNLocator(nbins, steps=_STEPS))
-    _fill(figure, axes, sides)
+    _fit_page(figure, axes, sides)
     figure.legend(handles=_legend(flight), loc="lower center", ncols=5)
     return figure
 
@@ -63,7 +63,7 @@ def draw_top_view(flight: Flight) -> Figure:
     """Fig. 5: the flight from above with a dot every 5 s, and the obstacles."""
     places = np.concatenate([flight.poses[..., :2].reshape(-1, 2), flight.waypoints[:, :2]])
     (left, right), (low, high) = style.span(places[:, 0], 1.2), style.span(places[:, 1], 1.2)
-    spare = max(0.0, 0.75 * (high - low) - (right - left)) / 2  # a narrow flight shows more of its surroundings
+    spare = max(0.0, 0.75 * (high - low) - (right - left)) / 2  # a narrow flight gets more of its surroundings
     left, right = left - spare, right + spare
     figure = style.sheet(7.5, min(max(5.1 * (high - low) / (right - left) + 0.6, 3.6), 7.2))
     axes = figure.add_subplot(aspect="equal", xlim=(left, right), ylim=(low, high), xlabel="x (m)", ylabel="y (m)")
@@ -80,7 +80,7 @@ def draw_top_view(flight: Flight) -> Figure:
 
 
 def _draw_tracks(axes: Axes, flight: Flight, dimensions: int) -> None:
-    """Trajectories in 2 or 3 dimensions: a line a robot, a dot every 5 s, a hollow one at the start."""
+    """Draw trajectories in 2 or 3 dimensions: a line a robot, a dot every 5 s, a hollow one at the start."""
     dots = np.searchsorted(flight.time, np.arange(0.0, flight.time[-1] + 1e-9, DOT_EVERY) - 1e-9)
     for i, color in enumerate(palette.colors_of(flight.scenario)):
         track, lead = flight.poses[:, i, :dimensions].T, i == palette.leader_of(flight.scenario)
@@ -90,7 +90,7 @@ def _draw_tracks(axes: Axes, flight: Flight, dimensions: int) -> None:
 
 
 def _draw_footprints(axes: Axes3D, flight: Flight, limits: list[tuple[float, float]]) -> None:
-    """Obstacles as their plans on the floor of the axes; 3-D axes do not clip, so only those wholly inside."""
+    """Draw obstacles' plans on the floor of the axes; 3-D axes do not clip, so only those wholly inside."""
     low, high = np.array(limits[:2]).T
     shapes = [s for s in outlines(flight.pieces, flight.vertices) if (s >= low).all() and (s <= high).all()]
     floors = [np.column_stack([shape, np.full(len(shape), limits[2][0])]) for shape in shapes]
@@ -98,10 +98,10 @@ def _draw_footprints(axes: Axes3D, flight: Flight, limits: list[tuple[float, flo
         axes.add_collection3d(Poly3DCollection(floors, facecolors=style.OBSTACLE, edgecolors=style.OBSTACLE, alpha=0.8))
 
 
-def _fill(figure: Figure, axes: Axes3D, sides: list[float]) -> None:
-    """Zoom and shift 3-D axes of equal scales so that all that is drawn fills the page above the legend's room.
+def _fit_page(figure: Figure, axes: Axes3D, sides: list[float]) -> None:
+    """Zoom and shift 3-D axes of equal scales to fill the page above the legend.
 
-    What 3-D axes cover is known only from the pixels; labels keep their size, so that one pass is not enough.
+    Only the drawn pixels tell what 3-D axes cover. Labels keep their size, so that it takes three passes.
     """
     canvas, zoom, x, y = FigureCanvasAgg(figure), 0.8, 0.0, 0.0
     for _ in range(3):
@@ -116,7 +116,7 @@ def _fill(figure: Figure, axes: Axes3D, sides: list[float]) -> None:
 
 
 def _legend(flight: Flight) -> list[Line2D]:
-    """Handles of both figures: robots, then marks."""
+    """Legend handles of both figures: robots, then marks."""
     leader = palette.leader_of(flight.scenario)
     handles = [
         Line2D([], [], color=color, lw=2.4 if i == leader else 1.2, label=name)

@@ -1,4 +1,4 @@
-"""The last seconds of an episode, as far as pictures have been drawn of it."""
+"""The last seconds of an episode: the instants that were drawn."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ SPAN = 30.0  # s kept
 
 
 class History:
-    """Columns over time. They grow at the end of buffers of twice the room and move to the front when it is used up."""
+    """Columns over time, in buffers of twice the capacity; full buffers are moved to their front half."""
 
     def __init__(self, n_agents: int, step_time: float) -> None:
-        self._room, self._key, self._end = round(SPAN / step_time) + 1, -1, 0
-        rows = 2 * self._room
+        self._capacity, self._key, self._end = round(SPAN / step_time) + 1, -1, 0
+        rows = 2 * self._capacity
         self._time = np.zeros(rows)
         self._lambda2, self._edges = np.zeros(rows), np.zeros(rows)
-        self._hats, self._at = np.zeros((rows, n_agents)), np.zeros((rows, n_agents, 3))
+        self._lambda2_hat, self._positions = np.zeros((rows, n_agents)), np.zeros((rows, n_agents, 3))
         self._weights = np.zeros((rows, n_agents, n_agents), np.float32)
-        self._columns = (self._time, self._lambda2, self._edges, self._hats, self._at, self._weights)
+        self._columns = (self._time, self._lambda2, self._edges, self._lambda2_hat, self._positions, self._weights)
 
     def add(self, now: Instant) -> None:
-        """Append an instant. A new episode begins anew; what is not before `now` is forgotten."""
+        """Append an instant. Rows of another episode, and rows that are not before `now`, are dropped."""
         if now.key != self._key:
             self._key, self._end = now.key, 0
         while self._end > 0 and self._time[self._end - 1] >= now.time - 1e-9:
             self._end -= 1
-        if self._end == 2 * self._room:
+        if self._end == 2 * self._capacity:
             for column in self._columns:
-                column[: self._room] = column[self._room :]
-            self._end = self._room
+                column[: self._capacity] = column[self._capacity :]
+            self._end = self._capacity
         values = (
             now.time,
             now.lambda2,
@@ -43,19 +43,19 @@ class History:
             column[self._end] = value
         self._end += 1
 
-    def since(self, start: float) -> slice:
+    def rows_since(self, start: float) -> slice:
         """Rows from time `start` on."""
         return slice(int(np.searchsorted(self._time[: self._end], start - 1e-9)), self._end)
 
-    def strip(self, start: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def curves(self, start: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Time (T,), true lambda2 (T,), number of links (T,) and estimates (T, N) from time `start` on."""
-        rows = self.since(start)
-        return self._time[rows], self._lambda2[rows], self._edges[rows], self._hats[rows]
+        rows = self.rows_since(start)
+        return self._time[rows], self._lambda2[rows], self._edges[rows], self._lambda2_hat[rows]
 
     def tracks(self, start: float) -> np.ndarray:
-        """Where the robots were from time `start` on, (T, N, 3)."""
-        return self._at[self.since(start)]
+        """Positions of the robots from time `start` on, (T, N, 3)."""
+        return self._positions[self.rows_since(start)]
 
     def weights(self, time: float) -> np.ndarray:
         """The weights A_ij at the first instant kept from `time` on, (N, N)."""
-        return self._weights[self.since(time).start]
+        return self._weights[self.rows_since(time).start]

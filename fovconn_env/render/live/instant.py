@@ -1,4 +1,4 @@
-"""A simulator's first world at one instant, copied out for a picture."""
+"""A copy of a simulator's first world at one instant, for a picture."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from fovconn_env.sim.simulator import Simulator
 
 
 class Instant(NamedTuple):
-    """The truth and the estimates of N robots now. World frame, SI units, radians."""
+    """True state and estimates of N robots. World frame, SI units, radians."""
 
     key: int  # of the episode
     time: float  # s since the episode began
     poses: np.ndarray  # (N, 4) x, y, z, yaw
     tilt: np.ndarray  # (N, 2) roll, pitch
     stick: np.ndarray  # (3,) m/s
-    leader: int  # who is pulled by the stick, if anybody is
+    leader: int  # the robot that the stick moves, if the scenario has a leader
     weights: np.ndarray  # (N, N) A_ij
     watch: np.ndarray  # (N, N) f*_ij
     lambda2: float
@@ -27,13 +27,13 @@ class Instant(NamedTuple):
     alive: np.ndarray  # (N,) bool
     sees: np.ndarray  # (N,) bool, its camera works
     talks: np.ndarray  # (N,) bool, its radio works
-    ranges: np.ndarray  # (R, 3) what the distance sensors measure
-    waypoint: int  # the one being flown to
-    outcome: str  # "" while it flies
+    ranges: np.ndarray  # (R, 3) points that the range sensors measure
+    waypoint: int  # index of the current way point
+    outcome: str  # "" during the flight
 
 
 def instant_of(simulator: Simulator) -> Instant:
-    """The first world as it is; nothing of the simulator changes, and nothing of it is kept."""
+    """The first world now, copied; the simulator does not change."""
     state, scenario = simulator.state, simulator.scenario
     body, episode, poses = state.body[0], state.episode[0], simulator.poses()[0]
     endings = (name for name in ("success", "collision", "disconnected", "truncated") if episode[name])

@@ -1,4 +1,4 @@
-"""The key of the live picture: one row that tells what lines and marks stand for."""
+"""The legend of the live picture: one row that explains lines and marks."""
 
 from __future__ import annotations
 
@@ -10,37 +10,37 @@ from fovconn_env.render.live.strip import FINE
 from fovconn_env.render.live.text import Typesetter
 from fovconn_env.render.palette import Theme, mixed
 
-_ROW = ("mutual", "one_way", "weak", "camera", "stick", "waypoint", "range")  # the first are the last to be left out
-_WORDS = ("see each other", "one sees the other", "weak link", "camera", "stick", "way point", "range point")
-_SHORT = ("mutual", "one-way", "weak", "camera", "stick", "way point", "range")
+_MARKS = ("mutual", "one_way", "weak", "camera", "stick", "waypoint", "range")  # by importance
+_LABELS = ("see each other", "one sees the other", "weak link", "camera", "stick", "way point", "range point")
+_SHORT_LABELS = ("mutual", "one-way", "weak", "camera", "stick", "way point", "range")
 
 
-def draw_key(size: tuple[int, int], theme: Theme, type_: Typesetter, *, operated: bool) -> pygame.Surface:
-    """The row, (width, height) px; with an operator also stick and way points. Words are short where room is."""
-    wanted = [k for k in range(len(_ROW)) if operated or _ROW[k] not in ("stick", "waypoint")]
+def draw_legend(size: tuple[int, int], theme: Theme, type_: Typesetter, *, operated: bool) -> pygame.Surface:
+    """The legend, (width, height) px; with an operator also stick and way points. Short labels where space is short."""
+    shown = [k for k in range(len(_MARKS)) if operated or _MARKS[k] not in ("stick", "waypoint")]
     mark, gap = 2 * type_.line, type_.line
 
-    def needed(words: tuple[str, ...], chosen: list[int]) -> int:
-        return sum(type_.width(words[k]) + mark + gap for k in chosen)
+    def width_of(labels: tuple[str, ...], chosen: list[int]) -> int:
+        return sum(type_.width(labels[k]) + mark + gap for k in chosen)
 
-    words = _WORDS if needed(_WORDS, wanted) <= size[0] else _SHORT
-    while needed(words, wanted) > size[0]:
-        wanted.pop()
+    labels = _LABELS if width_of(_LABELS, shown) <= size[0] else _SHORT_LABELS
+    while width_of(labels, shown) > size[0]:
+        shown.pop()
     fine = pygame.Surface((FINE * size[0], FINE * size[1]), 0, 32)
     fine.fill(theme.page)
-    places, x = [], gap // 2
-    for k in wanted:
-        _draw_mark(fine.subsurface((FINE * x, 0, FINE * (mark - 6), FINE * size[1])), _ROW[k], theme)
-        places.append((words[k], x + mark))
-        x += mark + gap + type_.width(words[k])
+    positions, x = [], gap // 2
+    for k in shown:
+        _draw_mark(fine.subsurface((FINE * x, 0, FINE * (mark - 6), FINE * size[1])), _MARKS[k], theme)
+        positions.append((labels[k], x + mark))
+        x += mark + gap + type_.width(labels[k])
     row = pygame.transform.smoothscale(fine, size)
-    for text, left in places:
-        row.blit(type_.words(text, theme.text), (left, (size[1] - type_.line) // 2))
+    for text, left in positions:
+        row.blit(type_.render(text, theme.text), (left, (size[1] - type_.line) // 2))
     return row
 
 
 def _draw_mark(surface: pygame.Surface, kind: str, theme: Theme) -> None:
-    """One sample, filling a surface of the fine scale."""
+    """Draw one mark that fills a surface of the fine scale."""
     width, height = surface.get_size()
     left, right, middle = np.array([0.0, height / 2]), np.array([float(width), height / 2]), (width / 2, height / 2)
     if kind in ("mutual", "one_way", "weak"):

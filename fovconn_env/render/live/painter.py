@@ -1,6 +1,6 @@
-"""Draws the world through a lens, far things first: ground, cameras' views, obstacles, links, robots.
+"""Draws the world through a lens, the farthest parts first: ground, fields of view, obstacles, links, robots.
 
-All sizes in pixels are those of the fine surface (`FINE` times the page's).
+Sizes in pixels are of the fine surface (`FINE` times the page's).
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ from fovconn_env.render import shapes3d, sight
 from fovconn_env.render.live import strokes
 from fovconn_env.render.live.instant import Instant
 from fovconn_env.render.live.pixels import shade
-from fovconn_env.render.live.projection import NEAR, Lens, clipped, in_front, project, scale_at
-from fovconn_env.render.live.stage import Stage
+from fovconn_env.render.live.projection import NEAR, Lens, clip_polygon, clip_segments, project, scale_at
+from fovconn_env.render.live.static_scene import StaticScene
 from fovconn_env.render.live.strip import FINE
 from fovconn_env.render.palette import Theme, colors_of, leader_of, mixed
 from fovconn_env.scenarios.scenario import Scenario
 
-_HALF_WIDTH = 0.34  # m of a quadrotor in the picture, or more where it would be too small to see
+_HALF_WIDTH = 0.34  # m of a quadrotor in the picture, or more where it would be too small
 _STAR = 0.8  # radius of a way point's star, in least half-widths of a robot
 _ROOM = 4.25 * FINE  # half-width of a crowd's robots below which their links are thinner
-_STUB = 1.6  # m of a camera's view that is drawn strong
-_CIRCLE = shapes3d.rim((0.0, 0.0, 1.0), 0.0, 14)  # level, (14, 3)
-_SHADOW = np.concatenate([np.zeros((1, 3)), 0.8 * _CIRCLE])  # its middle first
+_STUB = 1.6  # m, drawn length of a field of view
+_CIRCLE = shapes3d.rim((0.0, 0.0, 1.0), 0.0, 14)  # horizontal, (14, 3)
+_SHADOW = np.concatenate([np.zeros((1, 3)), 0.8 * _CIRCLE])  # the middle first
 
 
 class Marks(NamedTuple):
-    """Where labels belong, on the fine surface."""
+    """Positions for labels, on the fine surface."""
 
     robots: np.ndarray  # (N, 2)
     radii: np.ndarray  # (N,)
@@ -42,7 +42,7 @@ class Painter:
     """Draws instants of a scenario in one theme. `size`: least half-width of a robot, pixels of the fine surface."""
 
     def __init__(self, scenario: Scenario, theme: Theme, leader: int | None = None) -> None:
-        """leader: who leads now, None for the scenario's leader, if it has one."""
+        """leader: the present leader, None for the scenario's leader, if it has one."""
         self._theme, self._leader = theme, leader_of(scenario) if leader is None else leader
         self._crowd = scenario.n_agents > 12
         camera = scenario.camera
@@ -56,7 +56,7 @@ class Painter:
         self._faces = [
             mixed("#FFFFFF", mixed(theme.obstacle, "#000000", 0.62 + 0.38 * k / 15), 0.12 * k / 15) for k in range(16)
         ]
-        self._way = mixed(theme.operator, theme.ground, 0.7)
+        self._course_color = mixed(theme.operator, theme.ground, 0.7)
         self._roof = mixed("#FFFFFF", theme.obstacle, 0.22)
 
     def paint(
@@ -65,38 +65,38 @@ class Painter:
         lens: Lens,
         size: float,
         now: Instant,
-        stage: Stage,
+        scene: StaticScene,
         *,
         tracks: np.ndarray,
         weak: list[tuple[int, int]],
         cones: bool,
         linked: int | None = None,
     ) -> Marks:
-        """Draw everything that moves and stands.
+        """Draw everything but the ground. size: least half-width of a robot.
 
-        tracks (T, N, 3): where the robots were; weak: links to highlight; linked: whose links alone are drawn.
+        tracks (T, N, 3): past positions; weak: links to highlight; linked: the robot whose links alone are drawn.
         """
-        at = now.poses[:, :3]
-        pixels, depth = project(lens, at)
+        positions = now.poses[:, :3]
+        pixels, depth = project(lens, positions)
         scale = scale_at(lens, depth)
         half = np.maximum(_HALF_WIDTH, size / scale)
         attitude = shapes3d.attitudes(now.poses[:, 3], now.tilt)
-        ok = now.alive & (depth > NEAR)
+        visible = now.alive & (depth > NEAR)
         if not lens.parallel:
-            self._paint_shadows(surface, lens, at, half, stage.floor, pixels, depth > NEAR)
-        self._paint_course(surface, lens, stage)
+            self._paint_shadows(surface, lens, positions, half, scene.floor, pixels, depth > NEAR)
+        self._paint_course(surface, lens, scene)
         if len(tracks) > 1:
             self._paint_trails(surface, lens, tracks)
         if cones:
-            self._paint_cones(surface, lens, at, attitude, ok & now.sees)
-        jobs = [*self._walls(lens, stage), *self._links(lens, now, pixels, half * scale, weak, linked)]
-        jobs += self._robots(lens, at, attitude, half, now)
-        jobs += self._points(lens, now, stage, size)
-        for _, draw, *arguments in sorted(jobs, key=lambda job: -job[0]):
+            self._paint_cones(surface, lens, positions, attitude, visible & now.sees)
+        parts = [*self._wall_parts(lens, scene), *self._link_parts(lens, now, pixels, half * scale, weak, linked)]
+        parts += self._robot_parts(lens, positions, attitude, half, now)
+        parts += self._point_parts(lens, now, scene, size)
+        for _, draw, *arguments in sorted(parts, key=lambda part: -part[0]):
             draw(surface, *arguments)
         if self._leader is not None and depth[self._leader] > NEAR and now.stick.any():
-            self._paint_stick(surface, lens, at[self._leader], now.stick, size)
-        waypoints, far = project(lens, stage.course[len(stage.course) - stage.n_waypoints :])
+            self._paint_stick(surface, lens, positions[self._leader], now.stick, size)
+        waypoints, far = project(lens, scene.course[len(scene.course) - scene.n_waypoints :])
         waypoints = np.where((far > NEAR)[:, None], waypoints, -1e6)
         seen = np.where((depth > NEAR)[:, None], pixels, -1e6)
         return Marks(seen, half * scale, waypoints, _STAR * size)
@@ -107,7 +107,7 @@ class Painter:
         """Fill the surface and draw a disc of the world's grid on the floor. center (2,), radius and step, m."""
         surface.fill(self._theme.ground)
         lines = shapes3d.grid_lines(center, radius, step)
-        ends = clipped(lens, np.concatenate([lines, np.full((*lines.shape[:2], 1), floor)], axis=-1))
+        ends = clip_segments(lens, np.concatenate([lines, np.full((*lines.shape[:2], 1), floor)], axis=-1))
         for a, b in project(lens, ends)[0].tolist():
             pygame.draw.line(surface, self._theme.grid, a, b, FINE)
 
@@ -116,29 +116,29 @@ class Painter:
         self,
         surface: pygame.Surface,
         lens: Lens,
-        at: np.ndarray,
+        positions: np.ndarray,
         half: np.ndarray,
         floor: float,
         pixels: np.ndarray,
         shown: np.ndarray,
     ) -> None:
-        """Discs under the robots and lines down to them, so that heights can be read."""
-        ground = at * [1.0, 1.0, 0.0] + [0.0, 0.0, floor]
+        """Draw discs on the floor under the robots and lines down to them, which show the heights."""
+        ground = positions * [1.0, 1.0, 0.0] + [0.0, 0.0, floor]
         discs, _ = project(lens, ground[:, None] + half[:, None, None] * _SHADOW)
         for i in np.flatnonzero(shown):
             foot, *disc = discs[i].tolist()
             pygame.draw.polygon(surface, self._theme.shadow, disc)
             pygame.draw.line(surface, self._tints[i], pixels[i], foot, FINE)
 
-    def _paint_course(self, surface: pygame.Surface, lens: Lens, stage: Stage) -> None:
-        """The leader's way on the floor, dotted, with poles up to the way points."""
-        if len(stage.course) == 0:
+    def _paint_course(self, surface: pygame.Surface, lens: Lens, scene: StaticScene) -> None:
+        """Draw the leader's course on the floor, dashed, with poles up to the way points."""
+        if len(scene.course) == 0:
             return
-        feet = stage.course * [1.0, 1.0, 0.0] + [0.0, 0.0, stage.floor]
+        feet = scene.course * [1.0, 1.0, 0.0] + [0.0, 0.0, scene.floor]
         ways = np.stack([feet[:-1], feet[1:]], axis=1)
-        poles = np.stack([feet, stage.course], axis=1)[len(feet) - stage.n_waypoints :]
-        for a, b in project(lens, clipped(lens, np.concatenate([ways, poles])))[0].tolist():
-            strokes.dashes(surface, self._way, a, b)
+        poles = np.stack([feet, scene.course], axis=1)[len(feet) - scene.n_waypoints :]
+        for a, b in project(lens, clip_segments(lens, np.concatenate([ways, poles])))[0].tolist():
+            strokes.draw_dashes(surface, self._course_color, a, b)
 
     def _paint_trails(self, surface: pygame.Surface, lens: Lens, tracks: np.ndarray) -> None:
         lines, depth = project(lens, tracks[:: -max(1, len(tracks) // 30)].swapaxes(0, 1))
@@ -147,44 +147,45 @@ class Painter:
                 pygame.draw.lines(surface, color, False, line, FINE)
 
     def _paint_cones(
-        self, surface: pygame.Surface, lens: Lens, at: np.ndarray, attitude: np.ndarray, shown: np.ndarray
+        self, surface: pygame.Surface, lens: Lens, positions: np.ndarray, attitude: np.ndarray, shown: np.ndarray
     ) -> None:
-        """Where cameras look: a translucent wedge and the circle it opens to; from above also how far they reach."""
-        n, alpha = len(at), 26 if self._crowd else 58
-        stub = shapes3d.placed(self._fan, attitude, at, np.full(n, _STUB))
+        """Draw fields of view: a translucent wedge and its rim; from above the wedge out to the camera's range."""
+        n, alpha = len(positions), 26 if self._crowd else 58
+        stub = shapes3d.placed(self._fan, attitude, positions, np.full(n, _STUB))
         wedges, depth = project(lens, stub)
         chosen = shown & (depth.min(axis=1) > NEAR)
         shade(surface, wedges[chosen], self._inks[chosen], alpha)
         if self._crowd:
             return
         edge, reach = (self._fan, self._reach) if lens.parallel else (self._rim, _STUB)
-        edges, depth = project(lens, shapes3d.placed(edge, attitude, at, np.full(n, reach)))
+        edges, depth = project(lens, shapes3d.placed(edge, attitude, positions, np.full(n, reach)))
         for i in np.flatnonzero(shown & (depth.min(axis=1) > NEAR)):
             pygame.draw.lines(surface, self._hints[i], True, edges[i].tolist(), FINE if lens.parallel else 1)
 
-    # ---------------------------------------------------------------- what hides and is hidden: (depth, draw, ...)
-    def _walls(self, lens: Lens, stage: Stage) -> list[tuple]:
-        """Faces that look towards the eye, and roofs, each a little nearer than the nearest of its walls."""
-        walls, normals, roofs, owner = stage.blocks
+    # ------------------------------------------------------- parts that hide each other, as (depth, draw, *arguments)
+    def _wall_parts(self, lens: Lens, scene: StaticScene) -> list[tuple]:
+        """Faces towards the eye, and roofs, each drawn after all of its walls."""
+        walls, normals, roofs, owner = scene.blocks
         if not len(walls):
             return []
-        facing = (((stage.middles - lens.eye) * normals).sum(axis=1) < 0.0) & (not lens.parallel)
-        depth = (stage.middles - lens.eye) @ lens.forward
+        facing = (((scene.middles - lens.eye) * normals).sum(axis=1) < 0.0) & (not lens.parallel)
+        depth = (scene.middles - lens.eye) @ lens.forward
         reach = np.full(len(roofs), 1e9)
         np.minimum.at(reach, owner, depth)
-        jobs = []
+        parts = []
         flat, far = project(lens, walls)
         whole = far.min(axis=1) >= NEAR
         for k in np.flatnonzero(facing & (far.max(axis=1) > NEAR)):
-            corners = flat[k] if whole[k] else project(lens, in_front(lens, walls[k]))[0]
-            jobs.append((float(depth[k]), strokes.fill, self._faces[int(15 * stage.light[k])], corners.tolist()))
+            corners = flat[k] if whole[k] else project(lens, clip_polygon(lens, walls[k]))[0]
+            color = self._faces[int(15 * scene.light[k])]
+            parts.append((float(depth[k]), strokes.fill_polygon, color, corners.tolist()))
         for roof, near in zip(roofs, reach, strict=True):
-            corners = in_front(lens, roof)
+            corners = clip_polygon(lens, roof)
             if len(corners) > 2 and lens.eye[2] > roof[0, 2]:
-                jobs.append((float(near) - 0.01, strokes.fill, self._roof, project(lens, corners)[0].tolist()))
-        return jobs
+                parts.append((float(near) - 0.01, strokes.fill_polygon, self._roof, project(lens, corners)[0].tolist()))
+        return parts
 
-    def _links(
+    def _link_parts(
         self,
         lens: Lens,
         now: Instant,
@@ -193,24 +194,25 @@ class Painter:
         weak: list[tuple[int, int]],
         linked: int | None,
     ) -> list[tuple]:
-        """Halves of links, as wide as the weight. One-way links carry an arrow towards the robot that is seen.
+        """Halves of links; the width shows the weight. One-way links have an arrow towards the robot that is seen.
 
-        Weak ones lie on a bright band, with a gap that keeps their own colour apart. In a crowd less weight is fainter.
+        Weak links are on a bright band with a gap. In a crowd links of less weight are fainter.
         """
-        theme, at = self._theme, now.poses[:, :3]
+        theme, positions = self._theme, now.poses[:, :3]
         first, second = np.nonzero(np.triu(now.weights, 1) > 0)
         if linked is not None:
             chosen = (first == linked) | (second == linked)
             first, second = first[chosen], second[chosen]
         kinds = sight.sight_class(now.watch[first, second], now.watch[second, first])
         eyes, seen = np.where(kinds == sight.OTHERS, (second, first), (first, second))
-        three = np.stack([at[eyes], (at[eyes] + at[seen]) / 2, at[seen]], axis=1)  # ends and middle
-        halves = clipped(lens, three[:, [[0, 1], [1, 2]]])
+        ends = positions[eyes], positions[seen]
+        points = np.stack([ends[0], (ends[0] + ends[1]) / 2, ends[1]], axis=1)  # with the middle
+        halves = clip_segments(lens, points[:, [[0, 1], [1, 2]]])
         lines, depth = project(lens, halves)
-        behind = depth.mean(axis=-1) + (3.0 if self._crowd else 0.4)  # robots stand before their own links
+        behind = depth.mean(axis=-1) + (3.0 if self._crowd else 0.4)  # robots are drawn over their own links
         share = 0.5 * min(1.0, float(np.median(radii)) / _ROOM) if self._crowd else 1.0
         widths = FINE * share * (0.8 + 2.0 * now.weights[first, second])
-        jobs, spots, sizes = [], pixels.tolist(), radii.tolist()
+        parts, centers, sizes = [], pixels.tolist(), radii.tolist()
         for k, (ends, far, width) in enumerate(zip(lines.tolist(), behind.tolist(), widths.tolist(), strict=True)):
             mutual, alarm = kinds[k] == sight.MUTUAL, (int(first[k]), int(second[k])) in weak
             color = theme.mutual if mutual else theme.one_way
@@ -218,47 +220,49 @@ class Painter:
                 color = mixed(color, theme.ground, 0.35 + 0.65 * float(now.weights[first[k], second[k]]))
             for (a, b), distance in zip(ends, far, strict=True):
                 if alarm:
-                    jobs.append((distance + 0.02, strokes.line, theme.warning, a, b, width + 7 * FINE))
-                    jobs.append((distance + 0.01, strokes.line, theme.page, a, b, width + 3 * FINE))
-                jobs.append((distance, strokes.line, color, a, b, width))
+                    parts.append((distance + 0.02, strokes.draw_line, theme.warning, a, b, width + 7 * FINE))
+                    parts.append((distance + 0.01, strokes.draw_line, theme.page, a, b, width + 3 * FINE))
+                parts.append((distance, strokes.draw_line, color, a, b, width))
             if not mutual and depth[k].min() > NEAR:
                 broad, least = width + 2 * FINE * alarm, 3.5 * FINE * min(1.0, 2.0 * share)
-                head = strokes.arrow_head(spots[eyes[k]], spots[seen[k]], sizes[seen[k]], broad, least)
-                look = (strokes.fill, color) if share < 0.5 else (strokes.fill_outlined, color, theme.page)
-                jobs.append((far[1] - 0.3, *look, head))
-        return jobs
+                head = strokes.arrow_head(centers[eyes[k]], centers[seen[k]], sizes[seen[k]], broad, least)
+                style = (strokes.fill_polygon, color) if share < 0.5 else (strokes.fill_outlined, color, theme.page)
+                parts.append((far[1] - 0.3, *style, head))
+        return parts
 
-    def _robots(self, lens: Lens, at: np.ndarray, attitude: np.ndarray, half: np.ndarray, now: Instant) -> list[tuple]:
-        shapes, depth = project(lens, shapes3d.placed(shapes3d.QUADROTOR, attitude, at, half))
-        rings, _ = project(lens, at[:, None] + 1.75 * half[:, None, None] * _CIRCLE)
+    def _robot_parts(
+        self, lens: Lens, positions: np.ndarray, attitude: np.ndarray, half: np.ndarray, now: Instant
+    ) -> list[tuple]:
+        shapes, depth = project(lens, shapes3d.placed(shapes3d.QUADROTOR, attitude, positions, half))
+        rings, _ = project(lens, positions[:, None] + 1.75 * half[:, None, None] * _CIRCLE)
         near, theme = depth.min(axis=1), self._theme
-        jobs = []
+        parts = []
         for i, shape in enumerate(shapes.tolist()):
             if near[i] <= NEAR:
                 continue
             color = self.colors[i] if now.alive[i] else theme.faint
             nose, body = color if now.sees[i] else theme.page, theme.text if now.alive[i] else theme.faint
             ring = rings[i].tolist() if i == self._leader else []
-            jobs.append((float(depth[i].mean()), strokes.robot, color, nose, body, theme.page, shape, ring))
-        return jobs
+            parts.append((float(depth[i].mean()), strokes.draw_robot, color, nose, body, theme.page, shape, ring))
+        return parts
 
-    def _points(self, lens: Lens, now: Instant, stage: Stage, size: float) -> list[tuple]:
-        """Way points as stars, those behind the leader faint; what distance sensors measure as dots."""
-        theme, jobs = self._theme, []
-        stars, depth = project(lens, stage.course[len(stage.course) - stage.n_waypoints :])
+    def _point_parts(self, lens: Lens, now: Instant, scene: StaticScene, size: float) -> list[tuple]:
+        """Way points as stars, reached ones faint; measured range points as dots."""
+        theme, parts = self._theme, []
+        stars, depth = project(lens, scene.course[len(scene.course) - scene.n_waypoints :])
         for k, (star, far) in enumerate(zip(stars, depth.tolist(), strict=True)):
             color = theme.operator if k >= now.waypoint else theme.faint
             if far > NEAR:
-                jobs.append(
+                parts.append(
                     (far, strokes.fill_outlined, color, theme.page, (star + _STAR * size * shapes3d.STAR).tolist())
                 )
         dots, depth = project(lens, now.ranges)
-        jobs += [
-            (far, strokes.dot, theme.text, dot)
+        parts += [
+            (far, strokes.draw_dot, theme.text, dot)
             for dot, far in zip(dots.tolist(), (depth - 0.5).tolist(), strict=True)
             if far > NEAR
         ]
-        return jobs
+        return parts
 
     def _paint_stick(
         self, surface: pygame.Surface, lens: Lens, leader: np.ndarray, stick: np.ndarray, size: float

@@ -1,4 +1,4 @@
-"""What stands still in an episode, as shapes of the 3-D view: obstacles, the leader's course, the floor."""
+"""Static shapes of an episode for the 3-D view: obstacles, the leader's course, the floor."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from fovconn_env.render.palette import leader_of
 from fovconn_env.render.shapes3d import blocks
 from fovconn_env.sim.simulator import Simulator
 
-_BELOW, _ABOVE = 1.0, 1.0  # m of floor and of roofs from the robots at the start
-_SUN = np.array([0.25, -0.75, 0.0])  # m^0, level direction that obstacles are lit from
+_BELOW, _ABOVE = 1.0, 1.0  # m, of the floor below and of roofs above the start poses and way points
+_SUN = np.array([0.25, -0.75, 0.0])  # horizontal direction of the light
 
 
-class Stage:
-    """Obstacles end where the picture does: some m above the team. Below lies a floor that exists in pictures only."""
+class StaticScene:
+    """Obstacles are cut above the team. The floor exists in pictures only."""
 
     def __init__(self, simulator: Simulator, now: Instant) -> None:
         world, start = simulator.world, now.poses[:, :3]

@@ -1,4 +1,4 @@
-"""A window of its own for each environment that is rendered for people."""
+"""A window for an environment with the render mode "human"."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pygame
 from fovconn_env.render.live.view import LEAST, View
 from fovconn_env.sim.simulator import Simulator
 
-_UNSEEN = ("offscreen", "dummy")  # what SDL falls back to without a display; fine if asked for by name
+_INVISIBLE = ("offscreen", "dummy")  # SDL's fallbacks without a display; accepted if requested by name
 
 
 def open_window(title: str, size: tuple[int, int]) -> pygame.Window:
@@ -20,7 +20,7 @@ def open_window(title: str, size: tuple[int, int]) -> pygame.Window:
         os.environ.setdefault("SDL_FRAMEBUFFER_ACCELERATION", "0")
     pygame.display.init()
     driver = pygame.display.get_driver()
-    if driver in _UNSEEN and os.environ.get("SDL_VIDEODRIVER") != driver:
+    if driver in _INVISIBLE and os.environ.get("SDL_VIDEODRIVER") != driver:
         pygame.display.quit()
         raise pygame.error(f"there is only the video driver {driver!r}")
     window = pygame.Window(f"fovconn_env: {title}", size, resizable=True)
@@ -29,7 +29,7 @@ def open_window(title: str, size: tuple[int, int]) -> pygame.Window:
 
 
 class Window:
-    """Shows a view at `fps` pictures a second. A person may resize the window, or close it and fly on unseen."""
+    """Shows a view at `fps` pictures a second. It may be resized; after it is closed the flight goes on without it."""
 
     def __init__(self, title: str, fps: int, size: tuple[int, int] = (960, 600)) -> None:
         """Raises `gymnasium.error.Error` where there is no display."""
@@ -43,8 +43,8 @@ class Window:
         self._fps, self._clock, self._shown = fps, pygame.time.Clock(), (-1, -1)
 
     def show(self, view: View, simulator: Simulator) -> None:
-        """Show the world as it is now; waits until its turn. The same instant is not drawn and waited for twice."""
-        self._look_for_closing()
+        """Show the world now and wait for the next picture's time. The same instant is drawn and waited for once."""
+        self._handle_close()
         if self._window is None:
             return
         episode = simulator.state.episode[0]
@@ -60,13 +60,13 @@ class Window:
         self._shown = shown
 
     def close(self) -> None:
-        """Close the window; twice does no harm."""
+        """Close the window; a second call has no effect."""
         if self._window is not None:
             self._window.destroy()
             self._window = None
 
-    def _look_for_closing(self) -> None:
-        """Close if a person asks for it. Events of other windows stay in the queue."""
+    def _handle_close(self) -> None:
+        """Close the window if the person asks for it. Events of other windows stay in the queue."""
         pygame.event.pump()
         for event in pygame.event.get(pygame.WINDOWCLOSE):
             if event.window is self._window:

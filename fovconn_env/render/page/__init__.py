@@ -1,1 +1,1 @@
-"""Flights for other viewers: a web page of its own, and rerun."""
+"""Flights for other viewers: a web page, and rerun."""

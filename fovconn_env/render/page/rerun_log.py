@@ -19,12 +19,12 @@ from fovconn_env.render.shapes3d import BODY, NOSE, QUADROTOR, ROTOR, attitudes,
 
 THEME = palette.DARK  # as rerun's viewer
 TIMELINE = "time"  # s
-_TRAIL = 15  # s of the past, a point each
+_TRAIL = 15  # s of the past, with a point each
 _SIZE = 0.42  # m, half-width of a drawn robot
 _GAP = 0.7  # m between the tip of a link's arrow and the robot that is seen
-_STUB = 1.5  # m, the part of a camera's view that is drawn as a cone
-_EYE = (-0.3, -0.7, 0.6)  # where the eye is from the middle of the flight, in sizes of the flight
-_MARGIN = 1.0  # m that obstacles go on below and above the flight
+_STUB = 1.5  # m, the part of a field of view that is drawn as a cone
+_EYE = (-0.3, -0.7, 0.6)  # position of the eye from the middle of the flight, in sizes of the flight
+_MARGIN = 1.0  # m of obstacles below and above the flight
 
 
 def write_rrd(flight: Flight, path: Path) -> Path:
@@ -53,7 +53,7 @@ def write_rrd(flight: Flight, path: Path) -> Path:
 
 
 def _layout(rr: Any, flight: Flight) -> Any:
-    """3-D view on the left, curves of the whole flight on the right; the eye looks down on all of it."""
+    """Blueprint: 3-D view on the left, curves of the whole flight on the right."""
     rrb = rr.blueprint
     background = rrb.archetypes.PlotBackground(color=_rgb(THEME.panel))
     ends = [rrb.TimeRangeBoundary.absolute(seconds=float(t)) for t in flight.time[[0, -1]]]
@@ -84,7 +84,7 @@ def _layout(rr: Any, flight: Flight) -> Any:
 
 
 def _log_ground(rr: Any, stream: Any, flight: Flight) -> None:
-    """What stands still: obstacles, and the leader's course through its way points."""
+    """Log static shapes: obstacles, and the leader's course through its way points."""
     stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     corners, triangles = prisms(flight)
     if len(triangles):
@@ -99,7 +99,7 @@ def _log_ground(rr: Any, stream: Any, flight: Flight) -> None:
 
 
 def prisms(flight: Flight) -> tuple[np.ndarray, np.ndarray]:
-    """Obstacles as one mesh, corners (n, 3) and triangles (m, 3), as far as they stand near the flight's heights."""
+    """Obstacles as one mesh, corners (n, 3) and triangles (m, 3), cut to the flight's heights."""
     heights = np.concatenate([flight.poses[..., 2].ravel(), flight.waypoints[:, 2]])
     low = np.maximum(flight.pieces["low"], heights.min() - _MARGIN)
     high = np.minimum(flight.pieces["high"], heights.max() + _MARGIN)
@@ -117,36 +117,36 @@ def prisms(flight: Flight) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _log_robots(rr: Any, stream: Any, flight: Flight) -> None:
-    """Poses as transforms, with body and camera hanging on them, trails, and the operator's stick."""
-    scenario, at, when = flight.scenario, flight.poses[..., :3], _when(rr, flight)
+    """Log poses as transforms with body and camera as children, trails, and the operator's stick."""
+    scenario, at, times = flight.scenario, flight.poses[..., :3], _time_columns(rr, flight)
     colors = [_rgb(color) for color in palette.colors_of(scenario, THEME)]
     for i, (name, color) in enumerate(zip(scenario.agents, colors, strict=True)):
-        place = f"world/{name}"
+        entity = f"world/{name}"
         turns = attitudes(flight.poses[:, i, 3], flight.tilt[:, i])  # (T, 3, 3)
-        stream.send_columns(place, when, rr.Transform3D.columns(translation=at[:, i], mat3x3=turns))
+        stream.send_columns(entity, times, rr.Transform3D.columns(translation=at[:, i], mat3x3=turns))
         shape = rr.LineStrips3D([_SIZE * part for part in body_strips()], radii=-1.5)
-        stream.log(f"{place}/body", shape, static=True)
-        stream.log(f"{place}/name", rr.Points3D([[0.0, 0.0, 0.0]], labels=[str(i + 1)]), static=True)
-        stream.log(f"{place}/camera", rr.LineStrips3D(camera_strips(flight), radii=-0.7), static=True)
+        stream.log(f"{entity}/body", shape, static=True)
+        stream.log(f"{entity}/name", rr.Points3D([[0.0, 0.0, 0.0]], labels=[str(i + 1)]), static=True)
+        stream.log(f"{entity}/camera", rr.LineStrips3D(camera_strips(flight), radii=-0.7), static=True)
         alive = flight.alive[:, i]
         changes = np.flatnonzero(np.diff(alive, prepend=~alive[:1]))  # 0, and where it fails or works again
-        then = [rr.TimeColumn(TIMELINE, duration=flight.time[changes])]
+        change_times = [rr.TimeColumn(TIMELINE, duration=flight.time[changes])]
         shades = [color if works else _rgb(THEME.faint) for works in alive[changes]]
-        views = [[*color, 120 if works else 0] for works in alive[changes]]  # who is down sees nothing
-        stream.send_columns(f"{place}/body", then, rr.LineStrips3D.columns(colors=shades))
-        stream.send_columns(f"{place}/name", then, rr.Points3D.columns(colors=shades))
-        stream.send_columns(f"{place}/camera", then, rr.LineStrips3D.columns(colors=views))
+        views = [[*color, 120 if works else 0] for works in alive[changes]]  # a dead robot sees nothing
+        stream.send_columns(f"{entity}/body", change_times, rr.LineStrips3D.columns(colors=shades))
+        stream.send_columns(f"{entity}/name", change_times, rr.Points3D.columns(colors=shades))
+        stream.send_columns(f"{entity}/camera", change_times, rr.LineStrips3D.columns(colors=views))
     past = np.linspace(-_TRAIL, 0.0, _TRAIL + 1)
     steps = np.clip(np.searchsorted(flight.time, flight.time[:, None] + past - 1e-9), 0, len(flight.time) - 1)
     strips = at[steps].swapaxes(1, 2)  # (T, N, 16, 3)
     n = scenario.n_agents
     columns = rr.LineStrips3D.columns(strips=strips.reshape(-1, *strips.shape[2:]), colors=colors * len(at))
-    stream.send_columns("world/trails", when, columns.partition([n] * len(at)))
+    stream.send_columns("world/trails", times, columns.partition([n] * len(at)))
     stream.log("world/trails", rr.LineStrips3D.from_fields(radii=-1.0), static=True)
     if palette.leader_of(scenario) is not None:
         leader = np.insert(flight.leader[:-1], 0, flight.leader[0])  # in the step that ends then, as the stick
         arrows = rr.Arrows3D.columns(vectors=2.0 * flight.stick, origins=at[np.arange(len(at)), leader])
-        stream.send_columns("world/stick", when, arrows.partition([1] * len(at)))
+        stream.send_columns("world/stick", times, arrows.partition([1] * len(at)))
         stream.log("world/stick", rr.Arrows3D.from_fields(colors=_rgb(THEME.leader), radii=0.08), static=True)
 
 
@@ -165,8 +165,8 @@ def camera_strips(flight: Flight) -> list[np.ndarray]:
 
 
 def _log_links(rr: Any, stream: Any, flight: Flight) -> None:
-    """Links whose ends see each other as lines, others as arrows from the observer to the robot that is seen."""
-    at, when = flight.poses[..., :3], _when(rr, flight)
+    """Log mutual links as lines, one-way links as arrows from the observer to the robot that is seen."""
+    at, times = flight.poses[..., :3], _time_columns(rr, flight)
     kinds = sight.sight_class(flight.watch, flight.watch.swapaxes(1, 2))
     linked = flight.weights > 0
     for name, chosen in (("mutual", np.triu(kinds == sight.MUTUAL)), ("one_way", kinds == sight.OWN)):
@@ -174,18 +174,18 @@ def _log_links(rr: Any, stream: Any, flight: Flight) -> None:
         counts = np.bincount(t, minlength=len(at))
         eye, seen, weight = at[t, i], at[t, j], flight.weights[t, i, j]
         if name == "mutual":
-            look, strips = rr.LineStrips3D, np.stack([eye, seen], axis=1)
-            columns = look.columns(strips=strips, radii=-(0.8 + 2.5 * weight))  # negative: pixels
+            archetype, strips = rr.LineStrips3D, np.stack([eye, seen], axis=1)
+            columns = archetype.columns(strips=strips, radii=-(0.8 + 2.5 * weight))  # negative: pixels
         else:
             gap = _GAP / np.maximum(np.linalg.norm(seen - eye, axis=-1, keepdims=True), 2.0 * _GAP)
-            look = rr.Arrows3D
-            columns = look.columns(origins=eye, vectors=(1.0 - gap) * (seen - eye), radii=0.03 + 0.07 * weight)
-        stream.send_columns(f"world/links/{name}", when, columns.partition(counts))
-        stream.log(f"world/links/{name}", look.from_fields(colors=_rgb(getattr(THEME, name))), static=True)
+            archetype = rr.Arrows3D
+            columns = archetype.columns(origins=eye, vectors=(1.0 - gap) * (seen - eye), radii=0.03 + 0.07 * weight)
+        stream.send_columns(f"world/links/{name}", times, columns.partition(counts))
+        stream.log(f"world/links/{name}", archetype.from_fields(colors=_rgb(getattr(THEME, name))), static=True)
 
 
 def _log_curves(rr: Any, stream: Any, flight: Flight) -> None:
-    """Lambda2 true, estimated and least; yaw errors where the estimate is valid; numbers of links."""
+    """Log lambda2, its estimates and bound; yaw errors where the estimate is valid; numbers of links."""
     scenario = flight.scenario
     colors = palette.colors_of(scenario, THEME)
     kinds = sight.sight_class(flight.watch, flight.watch.swapaxes(1, 2))
@@ -206,12 +206,14 @@ def _log_curves(rr: Any, stream: Any, flight: Flight) -> None:
         path = f"yaw/{scenario.agents[i]}/{scenario.agents[j]}"
         curves.append((path, error[:, i, j], colors[j], f"{i + 1} of {j + 1}", 1.0))
     for path, values, color, name, width in curves:
-        look = rr.SeriesLines(colors=_rgb(color), names=name, widths=width)
-        stream.log(f"plots/{path}", look, static=True)
-        stream.send_columns(f"plots/{path}", _when(rr, flight), rr.Scalars.columns(scalars=values.astype(float)))
+        archetype = rr.SeriesLines(colors=_rgb(color), names=name, widths=width)
+        stream.log(f"plots/{path}", archetype, static=True)
+        stream.send_columns(
+            f"plots/{path}", _time_columns(rr, flight), rr.Scalars.columns(scalars=values.astype(float))
+        )
 
 
-def _when(rr: Any, flight: Flight) -> list[Any]:
+def _time_columns(rr: Any, flight: Flight) -> list[Any]:
     return [rr.TimeColumn(TIMELINE, duration=flight.time)]
 
 

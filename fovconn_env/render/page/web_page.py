@@ -27,34 +27,34 @@ from fovconn_env.render.obstacles import outlines
 INTERVAL = 0.1  # s between the instants in the page
 SCRIPTS = ("data.js", "shapes.js", "view.js", "plots.js", "page.js")
 _WEB = Path(__file__).parent / "web"
-_BELOW, _ABOVE, _MARGIN = 1.0, 1.0, 4.0  # m of floor below, of roofs above and of ground around the flight
+_BELOW, _ABOVE, _MARGIN = 1.0, 1.0, 4.0  # m, of the floor below, roofs above and ground around the flight
 _GRID = 5.0  # m
-_ENDINGS = {"disconnected": "team split", "time": "time is up"}  # where the outcome's own word says too little
+_ENDINGS = {"disconnected": "team split", "time": "time is up"}  # clearer words for outcomes
 
 
 def write_page(flight: Flight, path: Path, *, progress: Callable[[int, int], None] | None = None) -> Path:
     """Write a flight as one HTML file that any browser from 2023 on plays back offline.
 
-    progress: called with the number of parts done and of all parts.
+    progress: called with the number of finished parts and of all parts.
     """
     parts = {}
     for done, (name, make) in enumerate(_PARTS.items(), start=1):
         parts[name] = make(flight)
         if progress is not None:
             progress(done, len(_PARTS))
-    page = re.sub(r"\{\{(\w+)\}\}", lambda mark: parts[mark[1]], _read("page.html"))
+    page = re.sub(r"\{\{(\w+)\}\}", lambda mark: parts[mark[1]], _read_asset("page.html"))
     write_text(path, page)
     return path
 
 
 def instants(flight: Flight) -> np.ndarray:
-    """Indices of the instants that the page shows, one every `INTERVAL` or every step, and the last."""
+    """Indices of the instants in the page: one every `INTERVAL` or every step, and the last."""
     every = max(1, round(INTERVAL / flight.scenario.step_time))
     return np.unique(np.append(np.arange(0, len(flight.time), every), len(flight.time) - 1))
 
 
 def arrays(flight: Flight) -> dict[str, np.ndarray]:
-    """What the page shows over its T instants, by name; little-endian, in the units of `Flight` unless told."""
+    """Arrays of the page over its T instants, by name; little-endian, units as in `Flight` unless noted."""
     k = instants(flight)
     error = flight.yaw[k] - flight.yaw_hat[k]
     off = np.nan_to_num(1000.0 * np.arctan2(np.sin(error), np.cos(error)))
@@ -75,7 +75,7 @@ def arrays(flight: Flight) -> dict[str, np.ndarray]:
 
 
 def settings(flight: Flight) -> dict[str, Any]:
-    """What the page needs beside its arrays."""
+    """The page's settings: everything besides its arrays."""
     scenario, camera = flight.scenario, flight.scenario.camera
     places = np.concatenate([flight.poses[..., :3].reshape(-1, 3), flight.waypoints])
     low, high = places.min(0), places.max(0)
@@ -93,10 +93,10 @@ def settings(flight: Flight) -> dict[str, Any]:
         "ending": _ENDINGS.get(flight.outcome, flight.outcome),
         "observer": sight.observer(classes),
         "camera": {"axis": camera.unit_axis, "a_min": camera.a_min, "d_max": camera.d_max},
-        "course": [_rounded(place) for place in course],
+        "course": [_round_point(place) for place in course],
         "obstacles": _prisms(flight, floor, float(high[2]) + _ABOVE),
-        "low": _rounded(low[:2] - _MARGIN),
-        "high": _rounded(high[:2] + _MARGIN),
+        "low": _round_point(low[:2] - _MARGIN),
+        "high": _round_point(high[:2] + _MARGIN),
         "floor": floor,
         "grid": _GRID,
         "spread": round(float(np.quantile(np.linalg.norm(around, axis=-1).max(1), 0.9)), 2),  # m about the middle
@@ -104,22 +104,22 @@ def settings(flight: Flight) -> dict[str, Any]:
 
 
 def _prisms(flight: Flight, floor: float, top: float) -> list[dict[str, Any]]:
-    """Obstacles as plans with heights, as far as they stand between floor and top, m."""
-    found = []
+    """Obstacles as plans with heights, cut to the heights from floor to top, m."""
+    prisms = []
     for piece, plan in zip(flight.pieces, outlines(flight.pieces, flight.vertices), strict=True):
         low, high = max(float(piece["low"]), floor), min(float(piece["high"]), top)
         plan = plan[::4].round(3)
         plan = plan[(plan != np.roll(plan, -1, axis=0)).any(1)]
         if low < high:
-            found.append({"plan": plan.tolist(), "low": low, "high": high})
-    return found
+            prisms.append({"plan": plan.tolist(), "low": low, "high": high})
+    return prisms
 
 
-def _rounded(place: np.ndarray) -> list[float]:
+def _round_point(place: np.ndarray) -> list[float]:
     return np.round(place, 3).tolist()
 
 
-def _read(name: str) -> str:
+def _read_asset(name: str) -> str:
     return (_WEB / name).read_text(encoding="utf-8")
 
 
@@ -155,7 +155,7 @@ def _colors(flight: Flight) -> str:
 
 
 def _embedded(flight: Flight) -> str:
-    """Settings and arrays as JSON that may stand in a script element."""
+    """Settings and arrays as JSON that is safe in a script element."""
     packed = {
         name: {"type": array.dtype.str[1:], "data": base64.b64encode(zlib.compress(array.tobytes(), 9)).decode()}
         for name, array in arrays(flight).items()
@@ -163,7 +163,7 @@ def _embedded(flight: Flight) -> str:
     return json.dumps({**settings(flight), "arrays": packed}, allow_nan=False).replace("<", "\\u003c")
 
 
-# What stands for each {{mark}} of page.html.
+# Replacements of each {{mark}} of page.html.
 _PARTS: dict[str, Callable[[Flight], str]] = {
     "version": lambda _: _version(),
     "title": _title,
@@ -171,8 +171,8 @@ _PARTS: dict[str, Callable[[Flight], str]] = {
     "summary": _summary,
     "grid": lambda _: f"{_GRID:g}",
     "colors": _colors,
-    "style": lambda _: _read("uplot.css") + "\n" + _read("page.css"),
+    "style": lambda _: _read_asset("uplot.css") + "\n" + _read_asset("page.css"),
     "flight": _embedded,
-    "scripts": lambda _: "\n".join(_read(name) for name in SCRIPTS).replace('"use strict";\n', ""),
-    "libraries": lambda _: _read("libraries.js"),
+    "scripts": lambda _: "\n".join(_read_asset(name) for name in SCRIPTS).replace('"use strict";\n', ""),
+    "libraries": lambda _: _read_asset("libraries.js"),
 }
