@@ -95,12 +95,12 @@ class ParallelEnv(pettingzoo.ParallelEnv):
     def step(self, actions: dict[str, np.ndarray]) -> tuple[dict, dict, dict, dict, dict]:
         """Apply one action an agent: observations, rewards, terminations, truncations and infos by agent.
 
-        Raises `ValueError` for a missing or unknown agent, a wrong shape or NaN, naming the agent, before anything
-        moves; out of range is clipped. Raises `gymnasium.error.ResetNeeded` before reset and after the end.
+        Raises `ValueError`, naming the agent, for a missing or unknown agent, a wrong shape or NaN; then nothing
+        moves. Actions out of range are clipped. Raises `gymnasium.error.ResetNeeded` before reset and after the end.
         """
         if not self.agents:
             raise gymnasium.error.ResetNeeded("step() needs an episode under way: call reset() first")
-        self.simulator.step(self._gather(actions)[None])
+        self.simulator.step(self._stack_actions(actions)[None])
         agents, episode = self.agents, self.simulator.state.episode[0]
         rewards = dict(zip(agents, self.simulator.rewards[0].tolist(), strict=True))
         terminations = dict.fromkeys(agents, bool(episode["terminated"]))
@@ -126,7 +126,7 @@ class ParallelEnv(pettingzoo.ParallelEnv):
     def graph(self) -> Graph:
         """The observations as a graph, uav_0 first: `edge_index` goes from the observed robot to its observer.
 
-        What robots see of each other, from their own sensors and messages. The true links are `adjacency()`.
+        It holds what robots know of each other from their sensors and messages. The true links are `adjacency()`.
         """
         return self.simulator.graph()
 
@@ -137,7 +137,7 @@ class ParallelEnv(pettingzoo.ParallelEnv):
     def render(self) -> np.ndarray | None:
         """A picture of the world as it is, (480, 640, 3) uint8; None without a render mode, and in the mode "human".
 
-        That one opens a window, which also `reset` and `step` keep up to date, at `render_fps` steps a second.
+        The mode "human" opens a window; `reset` and `step` update it, at `render_fps` steps a second.
         """
         return self._viewer.draw(self.simulator)
 
@@ -145,8 +145,8 @@ class ParallelEnv(pettingzoo.ParallelEnv):
         """Close the window of the render mode "human"."""
         self._viewer.close()
 
-    def _gather(self, actions: dict[str, np.ndarray]) -> np.ndarray:
-        """Actions (N, 4) float64, checked."""
+    def _stack_actions(self, actions: dict[str, np.ndarray]) -> np.ndarray:
+        """Actions by agent as an array (N, 4) float64, checked."""
         if not isinstance(actions, Mapping):
             kind = type(actions).__name__
             raise ValueError(f"actions must be a dict by agent, got {kind}: {{'uav_0': [vx, vy, vz, yaw_rate], ...}}")

@@ -1,4 +1,4 @@
-"""Gymnasium: many worlds stepped together by the batched core, each seen as in `joint`."""
+"""Gymnasium: a batch of worlds; observations, actions and rewards of each world as in `joint`."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         n_threads: int | None = None,
         **settings: Any,
     ) -> None:
-        self.autoreset_mode = _mode(autoreset_mode)
+        self.autoreset_mode = _parse_mode(autoreset_mode)
         self.metadata = {"autoreset_mode": self.autoreset_mode, "render_modes": [], "render_fps": 20}
         if render_mode is not None:
             raise ValueError(f"render_mode must be None for a batch, got {render_mode!r}: render one world instead")
@@ -63,11 +63,11 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         return self.simulator.observations.copy(), self._infos()
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Apply actions (B, N, 4); what happens to a world that ends is the autoreset mode's.
+        """Apply actions (B, N, 4). The autoreset mode defines what happens to a world that ends.
 
         NEXT_STEP: the next call resets it, ignores its action and pays 0. SAME_STEP: it is reset at once, the last
         observation and infos are in infos["final_obs"] and ["final_info"]. DISABLED: the caller resets it; a step
-        before that is a `ValueError`. So is a wrong shape or NaN, before anything moves.
+        before that is a `ValueError`. A wrong shape or NaN is one as well; then no world is stepped.
         """
         simulator, over = self.simulator, self.simulator.over.copy()
         if over.any() and self.autoreset_mode == AutoresetMode.DISABLED:
@@ -79,7 +79,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
             raise gymnasium.error.ResetNeeded("step() needs episodes under way: call reset() first")
         observations = np.empty_like(simulator.observations)
         simulator.step(actions, into=observations)
-        if over.any():  # NEXT_STEP: those that ended in the call before
+        if over.any():  # NEXT_STEP: worlds that ended in the previous call
             simulator.reset(mask=over)
             simulator.rewards[over] = 0.0
             observations[over] = simulator.observations[over]
@@ -112,9 +112,9 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         }
 
 
-def _mode(mode: AutoresetMode | str) -> AutoresetMode:
-    for known in AutoresetMode:
-        if mode in (known, known.value, known.name):
-            return known
-    names = ", ".join(known.name for known in AutoresetMode)
+def _parse_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    for member in AutoresetMode:
+        if mode in (member, member.value, member.name):
+            return member
+    names = ", ".join(member.name for member in AutoresetMode)
     raise ValueError(f"autoreset_mode must be one of {names}, got {mode!r}: see gymnasium.vector.AutoresetMode")

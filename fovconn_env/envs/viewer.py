@@ -1,4 +1,4 @@
-"""What every adapter's `render()` does: check the mode, draw on first use, and stay out of pickles and copies."""
+"""`render()` of all adapters: checks the mode, loads the drawing library on first use, is left out of pickles."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from fovconn_env.sim.simulator import Simulator
 
 RENDER_MODES = ("human", "rgb_array")
-FPS = 20  # pictures a second of a flight at its own pace
+FPS = 20  # pictures a second of a flight in real time
 
 
 class Viewer:
-    """Shows a simulator's first world in one render mode; loads the drawing library with the first picture."""
+    """Draws a simulator's first world in one render mode; loads the drawing library with the first picture."""
 
     def __init__(self, render_mode: str | None) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
@@ -41,7 +41,7 @@ class Viewer:
         return None
 
     def show(self, simulator: Simulator) -> None:
-        """After each reset and step: in the mode "human" the window follows by itself, as Gymnasium asks for."""
+        """Update the window of the mode "human", after each reset and step, as Gymnasium requires."""
         if self.render_mode == "human":
             self.draw(simulator)
 

@@ -207,7 +207,7 @@ def test_no_handover_makes_a_command_jump(policy, name):
 
 
 def test_without_softening_they_would_jump(monkeypatch):
-    monkeypatch.setattr(Handover, "soften", lambda *_: None)
+    monkeypatch.setattr(Handover, "limit_rates", lambda *_: None)
     assert max(jump for _, jump in jumps(session("LeaderFollow-v0", collision_robot=0.01))) > 1.0
 
 

@@ -82,7 +82,7 @@ class Pad:
             self.sdl.SDL_JoystickSetVirtualButton(self.joystick, number, down)
             app.run_once(0.0)
 
-    def gamepad_removed(self):
+    def unplug(self):
         assert self.sdl.SDL_JoystickDetachVirtual(self.index) == 0
 
 
@@ -127,7 +127,7 @@ def test_a_gamepad_flies_a_whole_flight(app):
     pad.move(left_y=-1.0)
     app.run_once(STEP)
     steps = session.steps
-    pad.gamepad_removed()
+    pad.unplug()
     app.run_once(STEP)
     assert app.cockpit.paused
     assert "unplugged" in app.cockpit.reason
@@ -147,7 +147,7 @@ def test_a_gamepad_flies_a_whole_flight(app):
     while not session.over:
         app.run_once(STEP)
     assert session.score().outcome == "time"
-    again.gamepad_removed()
+    again.unplug()
     app.run_once(0.0)
     assert not app.cockpit.paused, "nothing flies that could pause"
 
@@ -167,7 +167,7 @@ def test_buttons_of_a_gamepad(app):
     assert app.cockpit.paused
     pad.push(app, 3)
     assert app.cockpit.settings.camera == "follow"
-    pad.gamepad_removed()
+    pad.unplug()
     app.run_once(0.0)
 
 
@@ -501,11 +501,11 @@ def test_the_command_plays_and_says_what_it_wrote(fovconn, monkeypatch, tmp_path
     """The window closes itself after some turns."""
     turns = iter(range(20))
 
-    def turn(self, elapsed, usual=App.turn):
+    def run_once(self, elapsed, usual=App.run_once):
         usual(self, STEP)
         self.cockpit.quit_requested = next(turns, None) is None
 
-    monkeypatch.setattr(app_module.App, "turn", turn)
+    monkeypatch.setattr(app_module.App, "run_once", run_once)
     shown = fovconn("play", "--set", "warmup=0.1", "--record", "mine.npz", "--size", "400x300", "--theme", "dark")
     assert shown.status == 0, shown.err
     assert shown.out.splitlines()[-1] == "wrote mine.npz"

@@ -1,11 +1,12 @@
-"""What `fovconn bench` times: one function a case. `paired` runs this file on the code of another tree, too.
+"""The cases of `fovconn bench`, one function each. `paired` runs this file on the code of another tree, too.
 
-What counts is the call of `step` alone. Our flights are flown by the expert, whose own time counts only where a case
-says so: robots that stand still step about a sixth faster. A world that ends is reset inside the vector environment's
-step, which counts. Flights last about 1000 steps, so a short run meets no reset in a large batch, where all worlds are
-young, and many in a small one: `ends` counts them, and a reset has a row of its own. How far a flight has come makes no
-difference to a step. Peers get the same action in every step and are never reset. What uses torch is timed with its
-default number of threads and with one: two small threads wait for each other, badly so when the machine is busy.
+Only the call of `step` is timed. In cases of this project the expert flies, because robots at rest step about a sixth
+faster; its own time counts only in cases that say so. The vector environment resets ended worlds within a step, and
+that time counts. Episodes last about 1000 steps, so a short run has no resets in a large batch, whose worlds all began
+together, and many in a small one: `ends` counts them, and resets have cases of their own. The time of a step does not
+depend on the episode's progress. Peers get the same action in every step and are never reset. Cases with torch are
+timed with its default number of threads and with one thread: on a busy machine threads with little work wait long for
+each other.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ CIRCLE = (0.1, 0.0, 0.0, 1.0)  # 0.25 m/s and 1 rad/s by default
 
 
 class Effort(NamedTuple):
-    """How much of everything is done."""
+    """Sizes and repetitions of a benchmark."""
 
     repetitions: int = 9
     seconds: float = 0.2  # of a case in a repetition, at least one call
@@ -42,7 +43,7 @@ class Effort(NamedTuple):
 
     @property
     def main(self) -> int:
-        """Worlds of the cases that are compared: 1024 if it is there."""
+        """Batch size of the compared cases: 1024 if it is in `batches`, else the largest."""
         return 1024 if 1024 in self.batches else max(self.batches)
 
 
@@ -51,7 +52,7 @@ QUICK = Effort(repetitions=2, seconds=0.05, batches=(1, 16), rows=8, robots=48, 
 
 
 class Case(NamedTuple):
-    """Something to time: `call()` does `steps` environment steps and returns the seconds that count and the ends."""
+    """A timed call: `call()` does `steps` environment steps and returns the timed seconds and the ended episodes."""
 
     agents: int
     steps: int
@@ -68,7 +69,7 @@ def lap(case: Case, seconds: float) -> tuple[float, int, int]:
 
 
 class Plan(NamedTuple):
-    """A case to be made: `key` is for the program, `name` for the reader."""
+    """A case before it is made: `key` identifies it, `name` is its text."""
 
     group: str
     key: str
@@ -77,42 +78,42 @@ class Plan(NamedTuple):
 
 
 def plans(chosen: Scenario, effort: Effort, peers: list[str]) -> list[Plan]:
-    """All cases; what is compared stands close together, so that a drift of the machine meets both alike."""
+    """All cases; compared ones are adjacent, so that a drift of the machine has the same effect on both."""
     main, rows = effort.main, effort.rows
     quadrotor = scenario(chosen, dynamics="quadrotor")
-    found = [
+    cases = [
         Plan("parallel", "parallel flat", "parallel_env, flat", partial(_parallel, chosen, flat=True)),
         Plan("dynamics", "parallel quadrotor", "parallel_env, quadrotor", partial(_parallel, quadrotor)),
         Plan("reset", "reset 1", "reset, parallel_env", partial(_reset, chosen, None)),
         Plan("parallel", "parallel", "parallel_env", partial(_parallel, chosen)),
         Plan("render", "render", "render, 640 x 480", partial(_render, chosen)),
     ]
-    found += [_peer_plan(name, chosen.n_agents, 1) for name in peers if not PEERS[name].batched]
+    cases += [_peer_plan(name, chosen.n_agents, 1) for name in peers if not PEERS[name].batched]
     for b in sorted({*effort.batches, main}, key=lambda b: (b == main, b)):
-        found.append(Plan("vector", f"vector {b}", f"vector, B = {b}", partial(_vector, chosen, b)))
+        cases.append(Plan("vector", f"vector {b}", f"vector, B = {b}", partial(_vector, chosen, b)))
     for b in sorted({main, max(effort.batches)}):
         for plan in [_peer_plan(name, chosen.n_agents, b) for name in peers if PEERS[name].batched]:
-            found += [plan, _on_one_thread(plan)]
-    found += [
+            cases += [plan, _on_one_thread(plan)]
+    cases += [
         Plan("dynamics", "quadrotor", f"quadrotor, B = {main}", partial(_vector, quadrotor, main)),
         Plan("expert", "flown", f"vector + expert, B = {main}", partial(_vector, chosen, main, True)),
         Plan("expert", "expert", f"expert alone, B = {main}", partial(_expert, chosen, main)),
     ]
     for b in sorted({rows, main}, reverse=True):
-        found.append(Plan("sb3", f"sb3 {b}", f"SB3 rows, B = {b}", partial(_sb3, chosen, b)))
-        found.append(Plan("sb3", f"core {b}", f"Simulator.step, B = {b}", partial(_core, chosen, b)))
-    found.append(Plan("reset", "reset", f"reset, B = {rows}", partial(_reset, chosen, rows)))
+        cases.append(Plan("sb3", f"sb3 {b}", f"SB3 rows, B = {b}", partial(_sb3, chosen, b)))
+        cases.append(Plan("sb3", f"core {b}", f"Simulator.step, B = {b}", partial(_core, chosen, b)))
+    cases.append(Plan("reset", "reset", f"reset, B = {rows}", partial(_reset, chosen, rows)))
     ppo = Plan("ppo", "ppo", f"PPO, B = {rows}", partial(_ppo, chosen, rows, effort.learn_steps))
-    found += [ppo, _on_one_thread(ppo)]
+    cases += [ppo, _on_one_thread(ppo)]
     for dynamics, size in itertools.product(("kinematic", "quadrotor"), SIZES):
         team, b = at_one_density(chosen, size, dynamics), max(effort.robots // size, 1)
         key, name = f"{dynamics} N={size}", f"N = {size} {dynamics}, B = {b}"
-        found.append(Plan("density", key, name, partial(_density, team, b)))
-    return found
+        cases.append(Plan("density", key, name, partial(_density, team, b)))
+    return cases
 
 
 def _on_one_thread(plan: Plan) -> Plan:
-    """The same case with one torch thread; its key tells, "vmas 64" becomes "vmas-one 64"."""
+    """The same case with one torch thread; the key "vmas 64" becomes "vmas-one 64"."""
 
     def make() -> Case:
         import torch
@@ -136,12 +137,12 @@ def _on_one_thread(plan: Plan) -> Plan:
 def _peer_plan(name: str, n_agents: int, n_worlds: int) -> Plan:
     peer = PEERS[name]
     key, size = (f"{name} {n_worlds}", f", B = {n_worlds}") if peer.batched else (name, "")
-    return Plan("peers", key, peer.title + size, partial(_made_quietly, peer.make, n_agents, n_worlds))
+    return Plan("peers", key, peer.title + size, partial(_make_silently, peer.make, n_agents, n_worlds))
 
 
 # -------------------------------------------------------------------------------------------------------- our cases
 def _parallel(chosen: Scenario, flat: bool = False) -> Case:
-    """Steps of a PettingZoo environment; a flight that ended is begun anew outside the clock, as its user would."""
+    """Steps of a PettingZoo environment; an ended episode is reset, and this is not timed."""
     env, expert = parallel_env(chosen, flat=flat), load_policy("expert", chosen)
     env.reset(seed=0)
 
@@ -157,7 +158,7 @@ def _parallel(chosen: Scenario, flat: bool = False) -> Case:
 
 
 def _render(chosen: Scenario) -> Case:
-    """Pictures of a flight, one a step; only `render` counts."""
+    """Pictures of a flight, one per step; only `render` is timed."""
     env, expert = parallel_env(chosen, render_mode="rgb_array"), load_policy("expert", chosen)
     env.reset(seed=0)
 
@@ -173,7 +174,7 @@ def _render(chosen: Scenario) -> Case:
 
 
 def _vector(chosen: Scenario, n_worlds: int, whole: bool = False) -> Case:
-    """Steps of the vector environment with its resets; with `whole` the expert's time counts, too."""
+    """Steps of the vector environment with its resets; `whole`: the expert's time counts, too."""
     env, expert = VectorEnv(chosen, num_envs=n_worlds), load_policy("expert", chosen)
     observations, _ = env.reset(seed=0)
 
@@ -190,7 +191,7 @@ def _vector(chosen: Scenario, n_worlds: int, whole: bool = False) -> Case:
 
 
 def _density(chosen: Scenario, n_worlds: int) -> Case:
-    """Steps of the vector environment while every robot flies a small circle, so that the density stays."""
+    """Steps of the vector environment while every robot flies a small circle, so that the density is constant."""
     env = VectorEnv(chosen, num_envs=n_worlds)
     env.reset(seed=0)
     actions = np.broadcast_to(np.array(CIRCLE), (n_worlds, chosen.n_agents, 4)).copy()
@@ -204,7 +205,7 @@ def _density(chosen: Scenario, n_worlds: int) -> Case:
 
 
 def at_one_density(chosen: Scenario, n_agents: int, dynamics: str) -> Scenario:
-    """`n_agents` robots without an end, six of them in 8 m x 8 m x 3 m and more in as much more area."""
+    """`n_agents` robots in an endless episode, at the density of six robots in 8 m x 8 m x 3 m."""
     endless: dict[str, Any] = {"patience": math.inf, "max_cycles": 10**9, "course.goal_lambda2": 1e9}
     start = {"box": (8.0, 8.0, 3.0), "spacing": 0.6, "lambda2_low": 0.0, "lambda2_high": math.inf}
     team = {"n_agents": n_agents, "leader": "none", "leader_index": 0, "collision_robot": 0.01, "map": None}
@@ -213,7 +214,7 @@ def at_one_density(chosen: Scenario, n_agents: int, dynamics: str) -> Scenario:
 
 
 def _expert(chosen: Scenario, n_worlds: int) -> Case:
-    """Decisions of the expert, for a batch as it starts."""
+    """Actions of the expert for the start of a batch."""
     expert, observations = load_policy("expert", chosen), Simulator(chosen, n_worlds).reset(0)
 
     def call() -> tuple[float, int]:
@@ -225,7 +226,7 @@ def _expert(chosen: Scenario, n_worlds: int) -> Case:
 
 
 def _core(chosen: Scenario, n_worlds: int) -> Case:
-    """Steps of the bare batch, resets included as in the adapters above it."""
+    """Steps of `Simulator` with its resets, as in the adapters."""
     simulator, expert = Simulator(chosen, n_worlds), load_policy("expert", chosen)
     simulator.reset(0)
 
@@ -242,7 +243,7 @@ def _core(chosen: Scenario, n_worlds: int) -> Case:
 
 
 def _sb3(chosen: Scenario, n_worlds: int) -> Case:
-    """Steps of the Stable-Baselines3 rows as `make_vec_env` gives them, within its monitor."""
+    """Steps of the Stable-Baselines3 environment of `make_vec_env`, with its monitor."""
     from fovconn_env.training.sb3 import make_vec_env
 
     env, expert = make_vec_env(chosen, n_worlds, seed=0), load_policy("expert", chosen)
@@ -259,7 +260,7 @@ def _sb3(chosen: Scenario, n_worlds: int) -> Case:
 
 
 def _ppo(chosen: Scenario, n_worlds: int, n_steps: int) -> Case:
-    """Rollouts and updates of PPO as in docs/examples/sb3_ppo.py; the policy is a beginner, so flights end early."""
+    """Rollouts and updates of PPO as in docs/examples/sb3_ppo.py; the policy is untrained, so episodes end early."""
     from stable_baselines3 import PPO
 
     from fovconn_env.training.sb3 import make_vec_env
@@ -279,7 +280,7 @@ def _ppo(chosen: Scenario, n_worlds: int, n_steps: int) -> Case:
 
 
 def _reset(chosen: Scenario, n_worlds: int | None) -> Case:
-    """Resets of all worlds of a batch, or of a `parallel_env`: starts are searched and the estimators warm up."""
+    """Resets of all worlds of a batch, or of a `parallel_env`: search of starts and warm-up of the estimators."""
     env: Any = parallel_env(chosen) if n_worlds is None else Simulator(chosen, n_worlds)
     env.reset(seed=0)
 
@@ -331,7 +332,7 @@ def _peer(env: Any, actions: Any, n_agents: int, n_worlds: int) -> Case:
 
 
 class Peer(NamedTuple):
-    """Another environment, timed by the call its users make."""
+    """Another environment, timed with its public step."""
 
     module: str
     title: str
@@ -352,16 +353,16 @@ PEERS = {
 }
 
 
-def _made_quietly(make: Callable[[int, int], Case], n_agents: int, n_worlds: int) -> Case:
-    """A peer's case; what it prints and warns about meanwhile, from C too, is lost."""
-    kept = os.dup(1), os.dup(2)
-    with open(os.devnull, "w") as hole, warnings.catch_warnings(), redirect_stdout(hole), redirect_stderr(hole):
+def _make_silently(make: Callable[[int, int], Case], n_agents: int, n_worlds: int) -> Case:
+    """A peer's case; its output and warnings while it is made, from C code as well, are suppressed."""
+    copies = os.dup(1), os.dup(2)
+    with open(os.devnull, "w") as null, warnings.catch_warnings(), redirect_stdout(null), redirect_stderr(null):
         warnings.simplefilter("ignore")
         try:
             for stream in (1, 2):
-                os.dup2(hole.fileno(), stream)
+                os.dup2(null.fileno(), stream)
             return make(n_agents, n_worlds)
         finally:
-            for stream, copy in zip((1, 2), kept, strict=True):
+            for stream, copy in zip((1, 2), copies, strict=True):
                 os.dup2(copy, stream)
                 os.close(copy)

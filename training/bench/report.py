@@ -1,4 +1,4 @@
-"""What a run of `fovconn bench` says: a JSON-ready record with ratios beside their bars, and tables made from it."""
+"""The record of a `fovconn bench` run, with ratios and their bars in JSON types, and tables made from it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Table = tuple[list[str], list[list[str]]]  # head, rows
 
 
 class Bar(NamedTuple):
-    """A ratio of two cases' agent steps a second, repetition by repetition, and what it is held against."""
+    """A ratio of two cases' agent steps per second, in each repetition, and its bar."""
 
     text: str
     over: str  # key of a case
@@ -52,7 +52,7 @@ def bars(main: int, largest: int, rows: int) -> list[Bar]:
 
 
 def record(result: Result) -> dict[str, Any]:
-    """Everything about a run that is worth keeping."""
+    """The record of a run, in JSON types."""
     from fovconn_env.scenarios.serialize import scenario_to_json
 
     todo, memory = result.agenda, result.memory
@@ -69,7 +69,7 @@ def record(result: Result) -> dict[str, Any]:
         "missing": todo.missing,
         "cases": [_case(timing) for timing in result.timings],
         "memory": memory._asdict() if memory else None,
-        "ratios": [found for bar in bars(*sizes) if (found := ratio(bar, result.timings)) is not None],
+        "ratios": [entry for bar in bars(*sizes) if (entry := ratio(bar, result.timings)) is not None],
     }
 
 
@@ -80,7 +80,7 @@ def _case(timing: Timing) -> dict[str, Any]:
 
 
 def ratio(bar: Bar, timings: Sequence[Timing]) -> dict[str, Any] | None:
-    """The median over the repetitions of a paired ratio, beside its bar; None if a case is not there."""
+    """The median over the repetitions of a paired ratio, and its bar; None if a case is missing."""
     by_key = {timing.key: timing for timing in timings}
     if bar.over not in by_key or not all(key in by_key for key in bar.under):
         return None
@@ -100,7 +100,7 @@ def judged(bar: Bar, each: Sequence[float]) -> dict[str, Any]:
 
 
 def machine() -> dict[str, Any]:
-    """The processor and the system, without names of this computer."""
+    """The processor and the system, without the computer's name."""
     cpu = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.is_file():
@@ -112,14 +112,14 @@ def machine() -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Versions of what is installed of all that is timed."""
-    found = {}
+    """Versions of the installed packages that a benchmark uses."""
+    installed = {}
     for name in PACKAGES:
         try:
-            found[name] = importlib.metadata.version(name)
+            installed[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             continue
-    return found
+    return installed
 
 
 # ------------------------------------------------------------------------------------------------------------ tables
@@ -140,16 +140,16 @@ def rate_table(report: dict[str, Any]) -> Table:
 
 
 def bar_table(report: dict[str, Any]) -> Table:
-    """The ratios of a record beside their bars, and the peak memory."""
+    """The ratios of a record and their bars, and the peak memory."""
     rows = [
         [
-            found["text"],
-            _count(found["ratio"]),
-            f"{_short(found['least'])}–{_short(found['most'])}",
-            f"{'≤' if found['at_most'] else '≥'} {_count(found['bar'])}",
-            "yes" if found["holds"] else "no",
+            entry["text"],
+            _count(entry["ratio"]),
+            f"{_short(entry['least'])}–{_short(entry['most'])}",
+            f"{'≤' if entry['at_most'] else '≥'} {_count(entry['bar'])}",
+            "yes" if entry["holds"] else "no",
         ]
-        for found in report["ratios"]
+        for entry in report["ratios"]
     ]
     memory = report["memory"]
     if memory:
@@ -160,7 +160,7 @@ def bar_table(report: dict[str, Any]) -> Table:
 
 
 def restless(report: dict[str, Any]) -> str:
-    """A sentence if the machine was busy with something else: if half of the cases vary by half as much again."""
+    """A sentence if the machine was busy: if most / least is RESTLESS or more in half of the cases; else ""."""
     spread = [case["most"] / case["least"] for case in report["cases"]]
     if not spread or statistics.median(spread) < RESTLESS:
         return ""
@@ -180,12 +180,12 @@ def machine_line(report: dict[str, Any]) -> str:
 
 
 def _count(value: float) -> str:
-    """A rate with three figures that count."""
+    """A rate with three significant digits."""
     digits = len(str(int(value)))
     return f"{round(value, 3 - digits):,.0f}" if digits >= 3 else f"{value:.3g}"
 
 
 def _short(value: float) -> str:
-    """The same in few letters: 285k."""
+    """A rate with three significant digits and a suffix: 285k."""
     scale, letter = (1e6, "M") if value >= 999.5e3 else (1e3, "k") if value >= 999.5 else (1.0, "")
     return f"{value / scale:.3g}{letter}"
