@@ -25,6 +25,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fovconn_env.baselines.laws.expert import Expert, Gains
+from fovconn_env.errors import non_negative
 from fovconn_env.scenarios.scenario import Scenario
 
 
@@ -32,7 +33,7 @@ from fovconn_env.scenarios.scenario import Scenario
 class AugmentedGains(Gains):
     """The expert's gains, and feed-forward (docs/decisions.md)."""
 
-    forward: float = 0.9  # share of the neighbours' velocity; from 0.95 on quadrotors crowd and stall
+    forward: float = non_negative(0.9)  # share of the neighbours' velocity; from 0.95 on quadrotors crowd and stall
 
 
 class Augmented(Expert):

@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fovconn_env.baselines.laws.augmented import Augmented, AugmentedGains
+from fovconn_env.errors import non_negative
 from fovconn_env.scenarios.scenario import Scenario
 
 
@@ -21,7 +22,7 @@ from fovconn_env.scenarios.scenario import Scenario
 class CohesiveGains(AugmentedGains):
     """The gains of `augmented`, and the pull (docs/decisions.md)."""
 
-    gather: float = 0.15  # 1/s; chosen from 0.1 to 0.3 on seeds 20000-20095 of ten scenarios
+    gather: float = non_negative(0.15)  # 1/s; chosen from 0.1 to 0.3 on seeds 20000-20095 of ten scenarios
 
 
 class Cohesive(Augmented):
