@@ -98,10 +98,8 @@ def decide(policy: Policy, simulator: Simulator) -> np.ndarray:
         raise ValueError(f"policy {name} failed on {where} in {at}: {what}") from problem
     shape = (*simulator.observations.shape[:2], 4)
     if actions.shape != shape:
-        hint = "worlds, robots, vx vy vz yaw_rate"
-        raise ValueError(
-            f"policy {name} must return actions of the shape {shape}, got {actions.shape} on {where}: {hint}"
-        )
+        got = f"got {actions.shape} on {where}, {at}"
+        raise ValueError(f"policy {name} must return actions of the shape {shape}, {got}: (worlds, robots, columns)")
     bad = ~np.isfinite(actions).all(-1) & ~simulator.over[:, None]
     if bad.any():
         b, i = np.argwhere(bad)[0].tolist()

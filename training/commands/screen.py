@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import sys
 from collections.abc import Iterator
@@ -13,8 +14,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from fovconn_env import Scenario, Simulator
+from fovconn_env import Scenario
 from fovconn_env.baselines import find_policy
+from fovconn_env.flights.rollout import rollout
 from fovconn_env.training.evaluation import Evaluation
 from fovconn_env.training.evaluation.record import result_of
 from fovconn_env.training.evaluation.tables import card
@@ -41,9 +43,8 @@ def progress() -> Iterator[Progress]:
 def warm_up(bar: Progress, chosen: Scenario, policy: str) -> None:
     """Load or compile the kernels under a line that says so."""
     task = bar.add_task("loading (compiles once, ~20 s)", total=None)
-    kind = find_policy(policy)
-    simulator = Simulator(kind.equip(chosen))
-    kind(simulator.scenario).act(simulator.reset(0))
+    for _ in itertools.islice(rollout(find_policy(policy), chosen, [0]), 2):
+        pass  # the reset, and one step
     bar.update(task, total=1, completed=1, description="loaded")
 
 
