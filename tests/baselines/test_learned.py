@@ -13,8 +13,8 @@ from fovconn_env.baselines import Expert, find_policy, load_policy
 from fovconn_env.baselines.laws.augmented import Augmented
 from fovconn_env.baselines.learned import cards, inputs
 from fovconn_env.baselines.learned.policy import Encoder, Head, Learned, from_file
-from fovconn_env.training.evaluation.campaign import Cell, fingerprint
 from fovconn_env.training.evaluation.flights import label
+from fovconn_env.training.evaluation.shelf import Cell, fingerprint
 from tests.helpers import SETTLED, few, recorded_actions, small
 
 pytestmark = pytest.mark.nojit

@@ -12,7 +12,8 @@ import pytest
 
 from fovconn_env import PRESETS, scenario
 from fovconn_env.training.evaluation import campaign, evaluate
-from fovconn_env.training.evaluation.campaign import Cell, Shelf, code_hash, fingerprint, fly_cells, parse_seeds, suite
+from fovconn_env.training.evaluation.campaign import fly_cells, parse_seeds, suite
+from fovconn_env.training.evaluation.shelf import Cell, Shelf, code_hash, fingerprint
 
 ROOT = Path(__file__).parents[2]
 TINY = {"n_agents": 3, "max_cycles": 30, "warmup": 0.2}

@@ -8,9 +8,10 @@ from fovconn_env.baselines import Expert
 from fovconn_env.flights.flight import from_recording
 from fovconn_env.flights.recording import load
 from fovconn_env.training.evaluation import evaluate
-from fovconn_env.training.evaluation.campaign import Cell, fly_cells
+from fovconn_env.training.evaluation.campaign import fly_cells
 from fovconn_env.training.evaluation.demo import fly_once
 from fovconn_env.training.evaluation.flights import record
+from fovconn_env.training.evaluation.shelf import Cell
 from fovconn_env.training.learn import datasets
 from fovconn_env.training.play.session import Session
 from tests.helpers import SETTLED

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from fovconn_env.training.commands.screen import progress, warm_up
 from fovconn_env.training.evaluation import Evaluation
-from fovconn_env.training.evaluation.campaign import Cell, fly_cells
+from fovconn_env.training.evaluation.campaign import fly_cells
+from fovconn_env.training.evaluation.shelf import Cell
 
 
 def fly_all(

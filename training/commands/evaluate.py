@@ -22,9 +22,10 @@ from fovconn_env.training.commands.options import (
     parse,
 )
 from fovconn_env.training.commands.screen import err, grid, measures, out, say_written, width
-from fovconn_env.training.evaluation.campaign import DEV_SEEDS, Cell, parse_seeds, suite
+from fovconn_env.training.evaluation.campaign import DEV_SEEDS, parse_seeds, suite
 from fovconn_env.training.evaluation.record import Record, to_json, write_json
 from fovconn_env.training.evaluation.results import publish
+from fovconn_env.training.evaluation.shelf import Cell
 from fovconn_env.training.evaluation.tables import FOOTNOTE, overall_table, scenario_table
 
 

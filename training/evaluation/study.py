@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fovconn_env import scenario
-from fovconn_env.training.evaluation.campaign import Cell, fly_cells
+from fovconn_env.training.evaluation.campaign import fly_cells
 from fovconn_env.training.evaluation.comparison import paired
 from fovconn_env.training.evaluation.flights import Evaluation
 from fovconn_env.training.evaluation.record import Record, about, result_of, run_block
+from fovconn_env.training.evaluation.shelf import Cell
 
 Settings = tuple[tuple[str, Any], ...]  # (name, value) as `scenario` takes them, in a form that can be hashed
 
