@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from fovconn_env import PRESETS, Recording
+from fovconn_env import PRESETS, Recording, Scenario, scenario
 from fovconn_env.baselines import POLICIES
 from fovconn_env.flights.recording import load
 
@@ -77,3 +77,9 @@ def read_recording(file: Path) -> Recording:
     if not len(found.actions):
         raise ValueError(f"{file} holds no step: nothing was flown")
     return found
+
+
+def read_scenarios(names: list[str], changes: list[str] | None) -> list[Scenario]:
+    """Scenarios from ids, each with settings of its own behind it, and settings for all."""
+    common = parse(changes)
+    return [scenario(word, **{**common, **parse(own)}) for word, *own in (name.split() or [""] for name in names)]

@@ -11,12 +11,13 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from fovconn_env import PRESETS, Scenario, scenario
+from fovconn_env import PRESETS
 from fovconn_env.baselines import POLICIES, find_policy
 from fovconn_env.baselines.learned.cards import BASES
 from fovconn_env.baselines.learned.policy import Learned
 from fovconn_env.errors import rule
-from fovconn_env.training.commands.options import OUT, check_folder, parse, read_recording
+from fovconn_env.training.commands import dataset
+from fovconn_env.training.commands.options import OUT, check_folder, parse, read_scenarios
 from fovconn_env.training.commands.screen import out, progress
 
 app = typer.Typer(no_args_is_help=True, help="Train policies, and record flights to train from.")
@@ -161,51 +162,7 @@ for _name, _trainer in TRAINERS.items():
     app.command(_name, help=inspect.cleandoc(_trainer.help))(_command(_name))
 
 
-@app.command("record")
-def record_command(
-    policy: Annotated[
-        str, typer.Option("--policy", help=f"Policy: {', '.join(POLICIES)}; or file.py:Class")
-    ] = "expert",
-    scenario_name: Annotated[
-        str, typer.Option("--scenario", help=f"Scenario id: {', '.join(PRESETS)}")
-    ] = "LeaderFollow-v0",
-    settings: Changes = None,
-    seeds: Annotated[
-        str, typer.Option(help="Seeds; below 50000 they choose checkpoints and evaluate.")
-    ] = "50000-50031",
-    flights: Annotated[
-        list[Path] | None,
-        typer.Option("--flight", help="Take this recording, of `fovconn play --record`, instead; repeatable."),
-    ] = None,
-    file: Annotated[Path, typer.Option("--out", help="File to write, .npz.")] = Path("out/flights.npz"),
-) -> None:
-    """Write what every robot saw and did, as episodes that others can read (docs/training.md).
-
-    Of a policy that is flown for it, or of recorded flights: your own, with `fovconn play --record flight.npz`.
-    """
-    from fovconn_env.training.evaluation.campaign import parse_seeds
-    from fovconn_env.training.learn.datasets import from_recordings, record, save
-
-    rule(file.suffix == ".npz", "--out", "a file that ends in .npz", str(file), "numpy.load reads it")
-    [chosen], numbers = _scenarios([scenario_name], settings), parse_seeds(seeds)
-    find_policy(policy)
-    recordings = [read_recording(flight) for flight in flights or ()]
-    file.parent.mkdir(parents=True, exist_ok=True)
-    with progress() as bar:
-        task = bar.add_task(f"{len(recordings) or len(numbers)} flights", total=1.0)
-
-        def watch(done: float) -> None:
-            bar.update(task, completed=done)
-
-        if recordings:
-            episodes = from_recordings(recordings, progress=watch)
-        else:
-            episodes = record(policy, chosen, numbers, progress=watch)
-        save(episodes, file)
-    steps = int(episodes.arrays["length"].sum())
-    out.print(
-        f"wrote {file}: {len(episodes.arrays['length'])} episodes, {steps} steps", highlight=False, soft_wrap=True
-    )
+app.command("record")(dataset.command)
 
 
 # ------------------------------------------------------------------------------------------------------------ common
@@ -224,7 +181,7 @@ def _train(name: str, given: Mapping[str, Any]) -> None:
         return
     arguments = trainer.arguments(given)
     budget = Budget(steps=given["steps"], minutes=given["minutes"])
-    flown = _scenarios(given["scenarios"] or ["LeaderFollow-v0"], given["settings"])
+    flown = read_scenarios(given["scenarios"] or ["LeaderFollow-v0"], given["settings"])
     words: list[str] = [f"base={given['base']}", *tune] if "base" in given else tune
     hyper, network = tuned(kind, Network, words, given["network"])
     if given["threads"]:
@@ -263,12 +220,6 @@ def tuned(kind: type, network: type, words: list[str], network_kind: str) -> tup
         rule(bool(equals) and (name in mine or name in nets), "--tune", f"NAME=VALUE of {known}", word, "--tune help")
         (hyper if name in mine else net)[name] = parse([word])[name]
     return kind(**hyper), network(**{"kind": network_kind, **net})
-
-
-def _scenarios(names: list[str], changes: list[str] | None) -> list[Scenario]:
-    """Scenarios from ids, each with settings of its own behind it, and settings for all."""
-    common = parse(changes)
-    return [scenario(word, **{**common, **parse(own)}) for word, *own in (name.split() or [""] for name in names)]
 
 
 def _start(name: str | None) -> Path | None:
