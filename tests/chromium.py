@@ -54,7 +54,7 @@ class Browser:
                 assert "error" not in answer, answer["error"]
                 return answer["result"]
 
-    def _read(self, seconds=60.0):
+    def _read(self, seconds=600.0):
         """The next message of the browser; what the page complains about is kept."""
         while b"\0" not in self._buffer:
             ready, _, _ = select.select([self._from], [], [], seconds)
@@ -82,7 +82,7 @@ class Browser:
         return answer["result"].get("value")
 
     def open(self, path, anchor="", size=(1280, 720), mobile=False, theme="light"):
-        """Open a file and wait until it is ready; returns the seconds that took."""
+        """Open a file and wait until it is ready."""
         self.problems, self.requests = [], []
         scale = 2 if mobile else 1
         width, height = size
@@ -91,12 +91,10 @@ class Browser:
         )
         self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": theme}])
         self.call("Page.navigate", url="about:blank")
-        begin = time.monotonic()
         self.call("Page.navigate", url=f"file://{path}{anchor}")
         self.wait("document.documentElement?.dataset.ready || document.getElementById('problem')?.hidden === false")
-        return time.monotonic() - begin
 
-    def wait(self, condition, seconds=30.0):
+    def wait(self, condition, seconds=600.0):
         """Until a JavaScript condition holds."""
         end = time.monotonic() + seconds
         while not self.evaluate(f"Boolean({condition})"):

@@ -5,8 +5,6 @@ import dataclasses
 import io
 import json
 import re
-import shutil
-import subprocess
 import zlib
 from pathlib import Path
 
@@ -17,66 +15,65 @@ from PIL import Image
 from fovconn_env.baselines import find_policy, load_policy
 from fovconn_env.flights.flight import fly
 from fovconn_env.render import palette
-from fovconn_env.render.page import web_page as page_module
+from fovconn_env.render.page import web_page
 from fovconn_env.render.page.web_page import SCRIPTS, arrays, instants, settings, write_page
 from fovconn_env.scenarios.presets import scenario
 from tests.chromium import CHROMIUM, Browser
 from tests.made_flight import make_flight
 
-WEB = Path(page_module.__file__).with_name("web")
+WEB = Path(web_page.__file__).with_name("web")
 FLIGHT = make_flight(obstacles=True)
+COLORS = [color.lower() for color in palette.colors_of(FLIGHT.scenario, palette.LIGHT)]
 
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
-    return write_page(FLIGHT, tmp_path_factory.mktemp("page") / "flight.html")
-
-
-def embedded(page):
-    """The settings and arrays of a page, as its script reads them."""
-    text = re.search(r'id="flight">(.*?)</script>', page.read_text("utf-8"), re.DOTALL)[1]
-    held = json.loads(text)
-    packed = held.pop("arrays")
-    return held, {
-        name: np.frombuffer(zlib.decompress(base64.b64decode(a["data"])), a["type"]) for name, a in packed.items()
-    }
+    steps = []
+    path = write_page(
+        FLIGHT, tmp_path_factory.mktemp("page") / "flight.html", progress=lambda *step: steps.append(step)
+    )
+    assert steps == [(k, len(steps)) for k in range(1, len(steps) + 1)]
+    return path
 
 
 # ------------------------------------------------------------------------------------------------------- the file
 def test_the_page_holds_the_flight(page):
-    held, found = embedded(page)
+    text = re.search(r'id="flight">(.*?)</script>', page.read_text("utf-8"), re.DOTALL)[1]
+    held = json.loads(text)
+    packed = held.pop("arrays")
+    found = {name: np.frombuffer(zlib.decompress(base64.b64decode(a["data"])), a["type"]) for name, a in packed.items()}
     assert held == json.loads(json.dumps(settings(FLIGHT)))
-    k = instants(FLIGHT)
     for name, array in arrays(FLIGHT).items():
         np.testing.assert_array_equal(found[name], array.ravel(), err_msg=name)
-    np.testing.assert_array_equal(found["time"], FLIGHT.time[k])
-    np.testing.assert_allclose(found["poses"].reshape(len(k), 3, 4), FLIGHT.poses[k], atol=1e-5)
-    np.testing.assert_allclose(found["weights"].reshape(len(k), 3, 3) / 255, FLIGHT.weights[k], atol=1 / 255)
-    error = FLIGHT.yaw[k] - FLIGHT.yaw_hat[k]
-    np.testing.assert_allclose(found["yaw_error"].reshape(error.shape) / 1000, error, atol=0.00051)
-
-
-def test_a_weak_link_stays_a_link():
-    weak = FLIGHT._replace(weights=np.where(FLIGHT.weights > 0, 1e-6, 0.0))
-    np.testing.assert_array_equal(arrays(weak)["weights"] > 0, FLIGHT.weights[instants(weak)] > 0)
-
-
-def test_instants_are_a_tenth_of_a_second_apart_and_include_the_last():
-    for stop in (1, 2, 3, 80):
-        flight = FLIGHT._replace(time=FLIGHT.time[:stop])
-        times = flight.time[instants(flight)]
-        assert times[-1] == flight.time[-1]
+    k, shape = instants(FLIGHT), (-1, 3, 3)
+    for stop in (1, 2, 3, 81):  # a tenth of a second apart, and the last
+        times = FLIGHT.time[instants(FLIGHT._replace(time=FLIGHT.time[:stop]))]
+        assert times[-1] == FLIGHT.time[stop - 1]
         np.testing.assert_allclose(np.diff(times[:-1]), 0.1)
+    np.testing.assert_array_equal(found["time"], FLIGHT.time[k])
+    np.testing.assert_allclose(found["poses"].reshape(-1, 3, 4), FLIGHT.poses[k], atol=1e-5)
+    np.testing.assert_allclose(found["weights"].reshape(shape) / 255, FLIGHT.weights[k], atol=1 / 255)
+    error = FLIGHT.yaw[k] - FLIGHT.yaw_hat[k]
+    np.testing.assert_allclose(found["yaw_error"].reshape(shape) / 1000, error, atol=0.00051)
+    weak = FLIGHT._replace(weights=np.where(FLIGHT.weights > 0, 1e-6, 0.0))
+    np.testing.assert_array_equal(arrays(weak)["weights"] > 0, FLIGHT.weights[k] > 0)  # a weak link stays one
+    top = max(FLIGHT.poses[..., 2].max(), FLIGHT.waypoints[:, 2].max()) + 1.0
+    assert len(held["obstacles"]) == len(FLIGHT.pieces)
+    assert all(held["floor"] <= block["low"] < block["high"] <= top for block in held["obstacles"])
 
 
 def test_it_needs_nothing_from_outside(page):
-    text = page.read_text("utf-8")
-    outside = r"""(?:src|href|action)\s*=\s*["'](?!data:,)|@import|<link(?! rel="icon" href="data:,")"""
-    without = text.replace((WEB / "libraries.js").read_text("utf-8"), "")
+    text, libraries = page.read_text("utf-8"), (WEB / "libraries.js").read_text("utf-8")
+    without = text.replace(libraries, "")
     assert len(without) < len(text) - 600_000
+    outside = r"""(?:src|href|action)\s*=\s*["'](?!data:,)|@import|<link(?! rel="icon" href="data:,")"""
     assert re.findall(outside, without) == []
     assert "default-src 'none'" in without  # browsers refuse what an oversight would load
     assert not re.search(r"\{\{\w+\}\}", without)
+    wanted = json.loads((WEB / "package.json").read_text("utf-8"))["devDependencies"]
+    assert f"three.js {wanted['three']}" in libraries[:3000]
+    assert f"uPlot {wanted['uplot']}" in libraries[:3000]
+    assert libraries[:3000].count("Permission is hereby granted") == 2
 
 
 def test_names_are_only_text(tmp_path):
@@ -87,74 +84,27 @@ def test_names_are_only_text(tmp_path):
     assert "&lt;/script&gt;&lt;b&gt;&amp;{{libraries}}, seed 5" in text
 
 
-def test_it_shows_both_themes(page):
-    text = page.read_text("utf-8")
+def test_it_has_the_colours_of_both_themes(page):
+    text, used = page.read_text("utf-8"), set()
     for theme in palette.THEMES.values():
         for i, color in enumerate(palette.colors_of(FLIGHT.scenario, theme)):
             assert f"--robot-{i}:{color}" in text
-    used = set(re.findall(r"var\(--([\w-]+)\)", (WEB / "page.css").read_text("utf-8"))) - {"color"}
-    used |= {
-        name for script in SCRIPTS for name in re.findall(r'color\("([\w-]+)"\)', (WEB / script).read_text("utf-8"))
-    }
-    assert used <= {name.replace("_", "-") for name in vars(palette.LIGHT)}
-
-
-def test_progress_is_told(tmp_path):
-    told = []
-    write_page(FLIGHT, tmp_path / "a.html", progress=lambda *step: told.append(step))
-    assert told == [(k, told[-1][1]) for k in range(1, told[-1][1] + 1)]
-
-
-def test_obstacles_end_with_the_picture():
-    held = settings(FLIGHT)
-    top = max(FLIGHT.poses[..., 2].max(), FLIGHT.waypoints[:, 2].max()) + 1.0
-    assert len(held["obstacles"]) == len(FLIGHT.pieces)
-    assert all(held["floor"] <= block["low"] < block["high"] <= top for block in held["obstacles"])
+    for name in ("page.css", *SCRIPTS):
+        used |= set(re.findall(r'(?:var\(--|color\(")([\w-]+)"?\)', (WEB / name).read_text("utf-8")))
+    assert used - {"color"} <= {name.replace("_", "-") for name in vars(palette.LIGHT)}
 
 
 def test_two_minutes_of_six_robots_stay_below_eight_megabytes(tmp_path):
     """Noise, which does not compress, in every array."""
-    generator, settings_ = np.random.default_rng(0), scenario("LeaderFollow-v0")
-    t, n = 2401, settings_.n_agents
-    shapes = {name: (t, *getattr(FLIGHT, name).shape[1:]) for name in FLIGHT._fields[2:14]}
-    noise = {name: generator.normal(size=[n if size == 3 else size for size in shapes[name]]) for name in shapes}
-    noise |= {"time": np.arange(t) * settings_.step_time, "stick": noise["stick"][:, :3], "yaw_valid": noise["yaw"] > 0}
-    noise |= {
-        "alive": noise["lambda2_hat"] > 0,
-        "weights": noise["weights"] % 1.0,
-        "leader": generator.integers(n, size=t),
+    rng, chosen = np.random.default_rng(0), scenario("LeaderFollow-v0")
+    t, n = 2401, chosen.n_agents
+    sizes = {
+        name: [n if size == 3 else size for size in getattr(FLIGHT, name).shape[1:]] for name in FLIGHT._fields[2:14]
     }
-    flight = FLIGHT._replace(scenario=settings_, **noise)
-    assert write_page(flight, tmp_path / "a.html").stat().st_size < 8e6
-
-
-def test_the_libraries_are_those_that_package_json_names():
-    wanted = json.loads((WEB / "package.json").read_text("utf-8"))["devDependencies"]
-    head = (WEB / "libraries.js").read_text("utf-8")[:3000]
-    assert f"three.js {wanted['three']}" in head
-    assert f"uPlot {wanted['uplot']}" in head
-    assert head.count("Permission is hereby granted") == 2
-
-
-@pytest.mark.skipif(not shutil.which("node"), reason="Node runs this test, and there is none: apt-get install nodejs")
-def test_the_script_reads_what_was_written(page):
-    program = (
-        "globalThis.document = { getElementById: () => ({ textContent: require('fs').readFileSync(0, 'utf8') }) };"
-        + (WEB / "data.js").read_text("utf-8")
-        + "const told = f => [f.end, Array.from(f.poses), linksAt(f, locate(f, 3.0))];"
-        + "loadFlight().then(f => console.log(JSON.stringify(told(f))))"
-    )
-    text = re.search(r'id="flight">(.*?)</script>', page.read_text("utf-8"), re.DOTALL)[1]
-    run = subprocess.run(["node", "-e", program], input=text, capture_output=True, text=True, check=True)
-    end, poses, links = json.loads(run.stdout)
-    k = np.searchsorted(FLIGHT.time, 3.0 - 1e-9)
-    assert end == FLIGHT.time[-1]
-    np.testing.assert_allclose(poses, FLIGHT.poses[instants(FLIGHT)].ravel(), atol=1e-5)
-    wanted = [(i, j) for i in range(3) for j in range(i + 1, 3) if FLIGHT.weights[k, i, j] > 0]
-    assert [(i, j) for i, j, *_ in links] == wanted
-    for i, j, weight, own, other in links:
-        assert weight == pytest.approx(FLIGHT.weights[k, i, j], abs=1 / 255)
-        assert (own, other) == (FLIGHT.watch[k, i, j] > 0, FLIGHT.watch[k, j, i] > 0)
+    noise = {name: rng.normal(size=(t, *size)) for name, size in sizes.items()}
+    noise |= {"time": np.arange(t) * chosen.step_time, "stick": noise["stick"][:, :3], "yaw_valid": noise["yaw"] > 0}
+    noise |= {"alive": noise["lambda2_hat"] > 0, "weights": noise["weights"] % 1.0, "leader": rng.integers(n, size=t)}
+    assert write_page(FLIGHT._replace(scenario=chosen, **noise), tmp_path / "a.html").stat().st_size < 8e6
 
 
 # --------------------------------------------------------------------------------------------------- in a browser
@@ -168,22 +118,32 @@ def browser(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def long(tmp_path_factory):
+def two_minutes(tmp_path_factory, browser):
     """The page of a real flight of six robots over two minutes."""
-    equipped = find_policy("expert").equip(scenario("LeaderFollow-v0", leader="random"))
-    flight = fly(equipped, load_policy("expert", equipped).act, seed=1)
-    assert flight.time[-1] == pytest.approx(120.0)
+    chosen = find_policy("expert").equip(scenario("LeaderFollow-v0", leader="random"))
+    flight = fly(chosen, load_policy("expert", chosen).act, seed=1)
     return write_page(flight, tmp_path_factory.mktemp("long") / "flight.html")
 
 
 @pytest.fixture
-def shown(browser, page):
-    """The page in the browser, from its start; afterwards nothing may have gone wrong."""
-    browser.open(page)
-    yield browser
+def show(browser, page, tmp_path):
+    """Opens the page of FLIGHT with some changes; afterwards the console is empty and nothing else was loaded."""
+    opened = []
+
+    def show(anchor="", path=page, changes=None, **how):
+        opened.append(write_page(FLIGHT._replace(**changes), tmp_path / "flight.html") if changes else path)
+        browser.open(opened[-1], anchor, **how)
+        return browser
+
+    yield show
     assert browser.problems == []
-    assert browser.requests == [f"file://{page}"]
+    assert [url.partition("#")[0] for url in browser.requests] == [f"file://{opened[-1]}"]
     assert browser.evaluate("document.getElementById('problem').hidden")
+
+
+def seek(browser, time):
+    browser.evaluate(f"player.seek({time})")
+    browser.settle()
 
 
 def picture(browser):
@@ -195,7 +155,8 @@ def robots(browser):
     return np.array(browser.evaluate("player.view.robots.map(robot => robot.body.position.toArray())"))
 
 
-def test_the_slider_moves_the_robots(shown):
+def test_the_slider_moves_the_robots(show):
+    shown = show()
     before = picture(shown)
     np.testing.assert_allclose(robots(shown), FLIGHT.poses[0, :, :3], atol=1e-5)
     shown.click("#time", x=0.5)
@@ -207,31 +168,35 @@ def test_the_slider_moves_the_robots(shown):
     assert 200 < changed.sum() < 0.5 * changed.size
 
 
-def test_keys_play_and_step(shown):
-    shown.press("ArrowRight")
-    assert shown.evaluate("player.time") == pytest.approx(1.0)
-    shown.press("ArrowLeft")
-    assert shown.evaluate("player.time") == 0.0
-    shown.press(" ")
-    shown.wait("player.time > 0.3")
-    shown.press(" ")
-    assert not shown.evaluate("player.playing")
-    shown.press("End")
-    assert shown.evaluate("player.time") == FLIGHT.time[-1]
+def near(value):
+    return pytest.approx(value, abs=0.05)
 
 
-def test_it_stops_at_the_end_and_starts_anew(shown):
-    shown.press("End")
-    shown.click("#play")
-    assert shown.evaluate("player.playing && player.time < 3")
-    shown.evaluate("document.getElementById('speed').value = 8")
-    shown.wait("!player.playing")
-    assert shown.evaluate("player.time") == FLIGHT.time[-1]
-    assert "4.0 / 4.0 s" in shown.evaluate("document.getElementById('elapsed').textContent")
+STEPS = [  # one after another: what a person does, what is read then, its value
+    (lambda page: page.press("ArrowRight"), "player.time", near(1.0)),
+    (lambda page: page.press("ArrowLeft"), "player.time", 0.0),
+    (lambda page: page.press(" "), "player.playing", True),
+    (lambda page: page.wait("player.time > 0.3"), "player.playing", True),
+    (lambda page: page.press(" "), "player.playing", False),
+    (lambda page: page.press("End"), "player.time", FLIGHT.time[-1]),
+    (lambda page: page.evaluate("document.getElementById('speed').value = 0.25"), "player.playing", False),
+    (lambda page: page.click("#play"), "player.playing && player.time < 3", True),  # it starts anew
+    (lambda page: page.evaluate("document.getElementById('speed').value = 8"), "player.playing", True),
+    (lambda page: page.wait("!player.playing"), "player.time", FLIGHT.time[-1]),
+    (lambda page: None, "document.getElementById('elapsed').textContent.trim()", "4.0 / 4.0 s"),
+]
+
+
+def test_keys_and_the_button_play_and_step(show):
+    shown = show()
+    for number, (act, expression, value) in enumerate(STEPS):
+        act(shown)
+        assert shown.evaluate(expression) == value, number
 
 
 @pytest.mark.parametrize("plot", ["lambda2", "yaw"])
-def test_a_click_into_a_plot_goes_there(shown, plot):
+def test_a_click_into_a_plot_goes_there(show, plot):
+    shown = show()
     shown.click(f"#{plot} .u-over", x=0.75)
     assert shown.evaluate("player.time") == pytest.approx(3.0, abs=0.05)
     for other in ("lambda2", "yaw"):
@@ -241,129 +206,83 @@ def test_a_click_into_a_plot_goes_there(shown, plot):
     assert shown.evaluate("document.getElementById('time').valueAsNumber") == pytest.approx(3.0, abs=0.05)
 
 
-def test_a_drag_turns_the_view(shown):
-    eye = shown.evaluate("player.view.camera.position.toArray()")
-    left, top, *_ = shown.box("#view")
+def test_a_drag_turns_the_view(show):
+    shown, eye = show(), "player.view.camera.position.toArray()"
+    before, (left, top, *_) = shown.evaluate(eye), shown.box("#view")
     shown.drag((left + 300, top + 300), (left + 350, top + 300), (left + 400, top + 300))
-    assert np.linalg.norm(np.subtract(shown.evaluate("player.view.camera.position.toArray()"), eye)) > 1.0
+    assert np.linalg.norm(np.subtract(shown.evaluate(eye), before)) > 1.0
 
 
-def test_links_show_who_sees_whom(browser, page):
+def test_links_show_who_sees_whom(show):
     """At 1.5 s only robot 2 sees the leader, at 2.5 s they see each other, and 1 and 3 do all the time."""
-    heads = "[player.view.tubes.count, player.view.heads.count]"
-    browser.open(page, "#t=0.5")  # an address may name a time
-    for time, wanted in ((0.5, [1, 0]), (1.5, [2, 1]), (2.5, [2, 0]), (3.5, [2, 1])):
-        assert browser.evaluate("player.time") == time
-        assert browser.evaluate(heads) == wanted
-        assert f"{wanted[0]} links, " in browser.evaluate("document.getElementById('clock').textContent")
-        browser.evaluate(f"player.seek({time + 1.0})")
-        browser.settle()
+    shown = show("#t=0.5")  # an address may name a time
+    assert shown.evaluate("player.time") == 0.5
+    for time, links, arrows in ((0.5, 1, 0), (1.5, 2, 1), (2.5, 2, 0), (3.5, 2, 1)):
+        seek(shown, time)
+        assert shown.evaluate("[player.view.tubes.count, player.view.heads.count]") == [links, arrows]
+        assert f"{links} links, " in shown.evaluate("document.getElementById('clock').textContent")
+    for robot, links in (("1", 1), ("0", 2), ("", 2)):
+        shown.evaluate(f"(s => {{ s.value = '{robot}'; s.onchange(); }})(document.getElementById('linked'))")
+        seek(shown, 2.5)
+        assert shown.evaluate("player.view.tubes.count") == links
 
 
-def test_links_of_one_robot_alone(browser, page):
-    browser.open(page, "#t=2.5")
-    assert browser.evaluate("player.view.tubes.count") == 2  # of 1 with both others
-    for robot, wanted in (("1", 1), ("0", 2), ("", 2)):
-        browser.evaluate(f"(s => {{ s.value = '{robot}'; s.onchange(); }})(document.getElementById('linked'))")
-        browser.settle()
-        assert browser.evaluate("player.view.tubes.count") == wanted
-    assert browser.problems == []
-
-
-def test_who_is_down_is_grey(browser, tmp_path):
-    """Robot 2 from 1 s to 3 s."""
-    alive = FLIGHT.alive.copy()
+def test_dead_robots_numbers_and_leaders_change_in_time(show):
+    """Robot 2 is dead from 1 s to 3 s, robots 1 and 2 are in one place until 2 s, then robot 3 leads."""
+    alive, poses, early = FLIGHT.alive.copy(), FLIGHT.poses.copy(), FLIGHT.time <= 2.0
     alive[(FLIGHT.time >= 1.0) & (FLIGHT.time < 3.0), 1] = False
-    browser.open(write_page(FLIGHT._replace(alive=alive), tmp_path / "flight.html"))
-    look = "player.view.robots.map(r => ['#' + r.body.children[0].material.color.getHexString(), r.cone.visible])"
-    colors = [color.lower() for color in palette.colors_of(FLIGHT.scenario, palette.LIGHT)]
-    for time, down in ((0.95, False), (1.05, True), (2.85, True), (3.05, False), (4.0, False)):
-        browser.evaluate(f"player.seek({time})")
-        browser.settle()
-        wanted = [[color, True] for color in colors]
-        if down:
+    poses[early, 1] = poses[early, 0] + [0.05, 0.0, 0.0, 0.0]
+    shown = show(changes={"alive": alive, "poses": poses, "leader": np.where(early, 0, 2)})
+    bodies = "player.view.robots.map(r => ['#' + r.body.children[0].material.color.getHexString(), r.cone.visible])"
+    for time, dead, together, leader in (
+        (0.95, 0, 1, 0),
+        (1.05, 1, 1, 0),
+        (2.85, 1, 0, 2),
+        (3.05, 0, 0, 2),
+        (4.0, 0, 0, 2),
+    ):
+        seek(shown, time)
+        wanted = [[color, True] for color in COLORS]
+        if dead:
             wanted[1] = [palette.LIGHT.faint.lower(), False]
-        assert browser.evaluate(look) == wanted, time
-        assert browser.evaluate("document.querySelectorAll('.down').length") == down
-    assert not browser.evaluate("document.querySelector('.fails').hidden")
-    assert browser.problems == []
-
-
-def test_numbers_do_not_stand_on_each_other(browser, tmp_path):
-    """Two robots in one place: the leader's number is shown; apart again, both are."""
-    poses = FLIGHT.poses.copy()
-    poses[:41, 1] = poses[:41, 0] + [0.05, 0.0, 0.0, 0.0]
-    browser.open(write_page(FLIGHT._replace(poses=poses), tmp_path / "flight.html"), "#t=1")
-    shown = "player.view.robots.map(robot => robot.number.visible)"
-    assert browser.evaluate(shown) == [True, False, True]
-    browser.evaluate("player.seek(4.0)")
-    browser.settle()
-    assert browser.evaluate(shown) == [True, True, True]
-    assert browser.problems == []
-
-
-def test_the_ring_and_the_stick_are_at_whoever_leads(browser, tmp_path):
-    leader = np.where(FLIGHT.time < 2.0, 0, 2)
-    browser.open(write_page(FLIGHT._replace(leader=leader), tmp_path / "flight.html"), "#t=1.9")
-    for time, i in ((1.9, 0), (2.4, 2)):
-        browser.evaluate(f"player.seek({time})")
-        browser.settle()
-        np.testing.assert_allclose(browser.evaluate("player.view.ring.position.toArray()"), robots(browser)[i])
-        assert browser.evaluate("player.view.shaft.count") == 1
-        assert browser.evaluate("document.querySelector('.leads').textContent") == str(i + 1)
-    assert browser.problems == []
+        assert shown.evaluate(bodies) == wanted, time
+        assert shown.evaluate("document.querySelectorAll('.down').length") == dead
+        assert shown.evaluate("player.view.robots.map(robot => robot.number.visible)") == [True, not together, True]
+        np.testing.assert_allclose(shown.evaluate("player.view.ring.position.toArray()"), robots(shown)[leader])
+        assert shown.evaluate("document.querySelector('.leads').textContent") == str(leader + 1)
+    assert not shown.evaluate("document.querySelector('.fails').hidden")
+    seek(shown, 2.4)
+    assert shown.evaluate("player.view.shaft.count") == 1
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
-def test_colors_follow_the_reader(browser, page, theme):
-    browser.open(page, theme=theme)
+def test_colors_follow_the_reader(show, theme):
+    shown = show(theme=theme)
     ground = tuple(int(palette.THEMES[theme].page[k : k + 2], 16) for k in (1, 3, 5))
-    pixels = picture(browser)
-    assert tuple(pixels[2, 2]) == ground
-    assert browser.evaluate("player.view.scene.background.getHexString()") == palette.THEMES[theme].panel[1:].lower()
-    assert browser.problems == []
+    assert tuple(picture(shown)[2, 2]) == ground
+    assert shown.evaluate("player.view.scene.background.getHexString()") == palette.THEMES[theme].panel[1:].lower()
 
 
-def test_a_phone_need_not_scroll_sideways(browser, page):
-    browser.open(page, size=(390, 844), mobile=True)
-    assert browser.evaluate("document.documentElement.scrollWidth") == 390
-    _, _, width, height = browser.box("#view")
+@pytest.mark.parametrize("size, mobile", [((1280, 720), False), ((390, 844), True)], ids=["small screen", "phone"])
+def test_it_fits(show, size, mobile):
+    shown = show(size=size, mobile=mobile)
+    assert shown.evaluate("document.documentElement.scrollWidth") == size[0]
+    assert mobile or shown.evaluate("document.documentElement.scrollHeight") == size[1]
+    _, _, width, height = shown.box("#view")
     assert width > 300
     assert height > 250
-    assert browser.problems == []
-
-
-def test_everything_fits_on_a_small_screen(browser, page):
-    browser.open(page, size=(1280, 720))
-    assert browser.evaluate("document.documentElement.scrollHeight") == 720
     for plot in ("lambda2", "yaw"):
-        assert browser.box(f"#{plot} .u-over")[3] > 100
-
-
-def test_two_minutes_open_and_play_without_a_complaint(browser, long):
-    assert long.stat().st_size < 8e6
-    browser.open(long)
-    for _ in range(2):
-        browser.press("ArrowRight")
-    assert browser.evaluate("player.time") == pytest.approx(2.0)
-    browser.press("End")
-    assert "120.0 / 120.0 s" in browser.evaluate("document.getElementById('elapsed').textContent")
-    assert browser.problems == []
-    assert browser.requests == [f"file://{long}"]
+        assert shown.box(f"#{plot} .u-over")[3] > 100
 
 
 @pytest.mark.parametrize("size", [(1280, 800), (400, 860)])
-def test_the_last_time_on_an_axis_is_whole(browser, long, size):
-    browser.open(long, size=size)
-    left, top, width, height = (round(x) for x in browser.box("#lambda2"))
-    plot = picture(browser)[top + 8 : top + height - 8, left : left + width]  # without the round corners
+def test_two_minutes_play_and_the_last_time_on_an_axis_is_whole(show, two_minutes, size):
+    shown = show(path=two_minutes, size=size)
+    left, top, width, height = (round(x) for x in shown.box("#lambda2"))
+    plot = picture(shown)[top + 8 : top + height - 8, left : left + width]  # without the round corners
     np.testing.assert_array_equal(plot[:, -3:], np.broadcast_to(plot[0, 8], plot[:, -3:].shape))
-
-
-@pytest.mark.slow
-def test_two_minutes_open_within_three_seconds(browser, long):
-    """The best of three: a busy machine is not the page's fault."""
-    assert min(browser.open(long) for _ in range(3)) < 3.0
+    shown.press("End")
+    assert "120.0 / 120.0 s" in shown.evaluate("document.getElementById('elapsed').textContent")
 
 
 def test_plots_work_without_webgl(browser, page):
