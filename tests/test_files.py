@@ -171,7 +171,8 @@ def test_an_old_checkpoint_goes_on(tmp_path):
     """A training of version 0.1 that was broken off, with the settings that made it."""
     pytest.importorskip("stable_baselines3")
     from fovconn_env.training.learn.bc import BC, BCSettings
-    from fovconn_env.training.learn.learning import Budget, Network, train
+    from fovconn_env.training.learn.learning import Budget, train
+    from fovconn_env.training.learn.model import Network
 
     settings = {"n_agents": 2, "warmup": 0.1, "max_cycles": 3, "max_neighbors": 1, "max_ranges": 1}
     settings |= {"patience": float("inf"), "course.settle": 0.0}

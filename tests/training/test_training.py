@@ -29,16 +29,8 @@ from fovconn_env.training.learn import learning
 from fovconn_env.training.learn.bc import BC, BCSettings
 from fovconn_env.training.learn.dagger import Dagger, DaggerSettings
 from fovconn_env.training.learn.datasets import record, save
-from fovconn_env.training.learn.learning import (
-    Budget,
-    Network,
-    layers,
-    load_weights,
-    make_model,
-    mean_action,
-    train,
-    weights,
-)
+from fovconn_env.training.learn.learning import Budget, train
+from fovconn_env.training.learn.model import Network, layers, load_weights, make_model, mean_action, weights
 from fovconn_env.training.learn.ppo import PPOSettings, Team
 from fovconn_env.training.learn.residual import Residual, ResidualSettings
 from fovconn_env.training.learn.rows import Rows, pack_simulator, unpack_simulator

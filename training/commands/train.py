@@ -170,7 +170,8 @@ def _train(name: str, given: Mapping[str, Any]) -> None:
     """Make an algorithm from the options of the command line and train it under a progress bar."""
     import torch
 
-    from fovconn_env.training.learn.learning import Budget, Network, train
+    from fovconn_env.training.learn.learning import Budget, train
+    from fovconn_env.training.learn.model import Network
 
     trainer, tune = TRAINERS[name], given["tune"] or []
     module = importlib.import_module(f"fovconn_env.training.learn.{trainer.module}")

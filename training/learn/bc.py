@@ -16,7 +16,8 @@ from fovconn_env.baselines.learned.inputs import UNITS
 from fovconn_env.errors import check_numbers, positive, rule
 from fovconn_env.training.learn.dagger import regress
 from fovconn_env.training.learn.datasets import Episodes
-from fovconn_env.training.learn.learning import Algorithm, Network, make_model
+from fovconn_env.training.learn.learning import Algorithm
+from fovconn_env.training.learn.model import Network, make_model
 from fovconn_env.training.learn.rows import Rows
 
 

@@ -1,0 +1,111 @@
+"""The network that is trained, as Stable-Baselines3's PPO holds it, and its arrays as a policy's file does."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.policies import ActorCriticPolicy
+from torch import nn
+
+from fovconn_env.baselines.learned.networks import ENCODERS
+from fovconn_env.baselines.learned.policy import Encoder, Head
+from fovconn_env.errors import check_count, rule
+from fovconn_env.training.learn.rows import Rows
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Network:
+    """The network of a policy: how rows become features, and what comes after."""
+
+    kind: Literal["set", "mlp"] = "set"
+    width: int = 64  # of a neighbour's term in the set network
+    spots: int = 32  # of a range point's
+    hidden: tuple[int, int] = (128, 64)  # layers of actor and of critic, on top of the features
+    log_std: float | None = None  # logarithm of an action's first standard deviation; None: the algorithm's own
+
+    def __post_init__(self) -> None:
+        rule(self.kind in ENCODERS, "--network", f"one of {', '.join(ENCODERS)}", self.kind, "set fits any N")
+        fine = isinstance(self.hidden, tuple) and len(self.hidden) == 2
+        rule(fine, "Network.hidden", "two layers", self.hidden, "for example hidden=(128, 64)")
+        for name, size in (("width", self.width), ("spots", self.spots), *(("hidden", n) for n in self.hidden)):
+            check_count(f"Network.{name}", size, "a layer has units")
+
+    def deviating(self, log_std: float) -> Network:
+        """With an algorithm's own first deviation, unless it is set."""
+        return dataclasses.replace(self, log_std=log_std) if self.log_std is None else self
+
+
+def make_model(rows: Rows, network: Network, seed: int, **settings: Any) -> PPO:
+    """SB3's PPO with an `ActorCriticPolicy` of ours, not trained yet; `settings` go to PPO.
+
+    Unless told otherwise it goes on, in SB3's hands, with the sizes of `ppo.PPOSettings`.
+    """
+    ours = {"n_steps": 128, "batch_size": 4096, "n_epochs": 4, "gamma": 0.99, "learning_rate": 5e-4, **settings}
+    collected = ours["n_steps"] * rows.num_envs
+    even = math.gcd(ours["batch_size"], collected)  # SB3 warns of batches that do not come out even
+    ours["batch_size"] = even if even > 1 else collected
+    told: dict[str, Any] = {"max_neighbors": rows.parts[0].scenario.max_neighbors, "extra": rows.extra}
+    if network.kind == "set":
+        told |= {"width": network.width, "spots": network.spots}
+    policy = {
+        "features_extractor_class": ENCODERS[network.kind],
+        "features_extractor_kwargs": told,
+        "share_features_extractor": False,  # the critic's errors do not reach the actor
+        "net_arch": {"pi": list(network.hidden), "vf": list(network.hidden)},
+        "activation_fn": nn.SiLU,
+        "log_std_init": network.log_std,
+    }
+    model = PPO("MlpPolicy", rows, seed=seed, device="cpu", policy_kwargs=policy, **ours)
+    model.set_logger(Logger(None, []))
+    return model
+
+
+def mean_action(policy: ActorCriticPolicy, observations: torch.Tensor) -> torch.Tensor:
+    """What the actor does without noise, (R, 4), in a network's units and before clipping."""
+    features = policy.pi_features_extractor(observations)
+    return policy.action_net(policy.mlp_extractor.forward_actor(features))
+
+
+def actor_parameters(policy: ActorCriticPolicy) -> list[nn.Parameter]:
+    """Parameters of the actor's mean."""
+    parts = (policy.pi_features_extractor, policy.mlp_extractor.policy_net, policy.action_net)
+    return [parameter for part in parts for parameter in part.parameters()]
+
+
+def layers(policy: Any) -> dict[str, Any]:
+    """The actor's linear layers by the names of a policy's file."""
+
+    def linear(net: nn.Module) -> dict[str, Any]:
+        return {name: layer for name, layer in net.named_children() if isinstance(layer, nn.Linear)}
+
+    hidden = linear(policy.mlp_extractor.policy_net).values()
+    ends = dict(zip(("first", "second"), hidden, strict=True)) | {"action": policy.action_net}
+    return linear(policy.pi_features_extractor) | ends
+
+
+def weights(policy: ActorCriticPolicy) -> dict[str, np.ndarray]:
+    """The actor's arrays as a policy's file names them, matrices (in, out)."""
+    found = layers(policy)
+    arrays = {name: layer.weight.detach().numpy().T.copy() for name, layer in found.items()}
+    return arrays | {
+        f"{name}_bias": layer.bias.detach().numpy() for name, layer in found.items() if layer.bias is not None
+    }
+
+
+def load_weights(policy: ActorCriticPolicy, encoder: Encoder, head: Head) -> None:
+    """Put a policy's arrays into the actor; `ValueError` where the sizes differ."""
+    arrays = {**encoder._asdict(), **head._asdict()}
+    for name, mine in weights(policy).items():
+        hint = "start with the same --network and its sizes"
+        rule(arrays[name].shape == mine.shape, f"{name} of the start", f"{mine.shape}", arrays[name].shape, hint)
+    with torch.no_grad():
+        for name, layer in layers(policy).items():
+            layer.weight.copy_(torch.tensor(arrays[name].T))
+            if layer.bias is not None:
+                layer.bias.copy_(torch.tensor(arrays[f"{name}_bias"]))
