@@ -1,4 +1,4 @@
-"""What the robots observe as a graph, for graph networks: robots are nodes, neighbour rows are edges."""
+"""Observations as a graph for graph networks: robots are nodes, neighbour rows are edges."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ EDGE_COLUMNS = tuple(column.name for column in layout.NEIGHBOR if column.name !=
 
 
 class Graph(NamedTuple):
-    """Observations of V robots as a directed graph with E edges. Arrays are the caller's own.
+    """Observations of V robots as a directed graph with E edges. The arrays are copies.
 
-    Edge e says what robot `edge_index[1, e]` knows about robot `edge_index[0, e]`: from the observed to the observer,
-    the way its messages go, and the way torch_geometric and DGL pass them.
+    Edge e holds what robot `edge_index[1, e]` knows about robot `edge_index[0, e]`. It points from the observed robot
+    to its observer, the direction of its messages, as in torch_geometric and DGL.
     """
 
     nodes: np.ndarray  # (V, F) float32, NODE_COLUMNS: the robots' own rows
@@ -29,8 +29,8 @@ class Graph(NamedTuple):
 def observed_graph(state: State, worlds: slice) -> Graph:
     """The graph of these worlds, side by side: robot i of the b-th of them is node b N + i.
 
-    Nodes and edges hold what is in the observations and nothing else. A row carries no name; whom it is about is on
-    board, where the camera and the messages have identities.
+    Nodes and edges hold the observations alone. Rows have no identities; the edges' ends come from the on-board tracks,
+    where camera and messages have them.
     """
     own, rows, tracks = state.own_row[worlds], state.neighbor_row[worlds], state.track[worlds]
     n_worlds, n = own.shape

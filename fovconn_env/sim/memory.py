@@ -14,7 +14,7 @@ NO_ACTIONS, NO_MASK = np.zeros((1, 1, 4)), np.zeros(1, bool)
 
 
 def allocate(scenario: Scenario, n_worlds: int, n_pieces: int, n_vertices: int) -> tuple[records.World, records.State]:
-    """Empty world and state for a batch of `n_worlds` with room for that many obstacle pieces and vertices."""
+    """Zeroed world and state of a batch of `n_worlds`, for at most that many obstacle pieces and vertices a world."""
     b, n, m, k = n_worlds, scenario.n_agents, scenario.max_neighbors, scenario.max_ranges
     flooded, entries = (n, n + 1) if scenario.lambda2 == "flooding" else (0, 0)  # rows of a table
     low, high = observation_bounds(scenario)
@@ -59,7 +59,7 @@ def allocate(scenario: Scenario, n_worlds: int, n_pieces: int, n_vertices: int) 
 
 
 def scratch(n_agents: int) -> records.Scratch:
-    """Scratch for a thread that steps teams of `n_agents`."""
+    """Scratch memory of one thread for teams of `n_agents`."""
     n = n_agents
     return records.Scratch(
         laplacian=np.empty((n, n)),
@@ -86,9 +86,9 @@ def observation_bounds(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
 
 
 def clear(world: records.World, state: records.State, b: int) -> None:
-    """Set the records of world b to zero, those of its map and course, too."""
+    """Set all records of world b to zero, with its map and course."""
     for array in (*state[:-3], world.piece, world.vertex, world.waypoint):  # the last three are views
-        array[b : b + 1].reshape(-1).view(np.uint8).fill(0)  # record by record takes ten times as long
+        array[b : b + 1].reshape(-1).view(np.uint8).fill(0)  # assigning records takes ten times as long
 
 
 def place(bodies: np.ndarray, poses: np.ndarray) -> None:

@@ -1,4 +1,4 @@
-"""B worlds of one scenario, stepped together by the compiled kernels. Never resets by itself."""
+"""B worlds of one scenario, stepped together by the compiled kernels, without automatic resets."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from fovconn_env.sim.graph import Graph, observed_graph
 from fovconn_env.sim.memory import NO_ACTIONS, NO_MASK, allocate, clear, place, scratch
 from fovconn_env.sim.starts import EpisodeStart, StartSampler, check_start, draw_faults
 
-WORLDS_PER_SLICE = 16  # fewer are not worth the way to another thread
+WORLDS_PER_SLICE = 16  # smaller slices are not worth a thread
 Leader = Literal["waypoints", "none", "random", "human"]
 _STICK = {column.name: k for k, column in enumerate(layout.SELF) if column.name.startswith("stick_")}
 
 
-def _cores() -> int:
-    """Processors this process may use."""
+def _available_cores() -> int:
+    """Number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -41,9 +41,9 @@ def _check_index(field: str, value: object, count: int, what: str) -> None:
 
 
 class Simulator:
-    """A batch of worlds. Single is a batch of one; the adapters hold one of these and no physics of their own.
+    """A batch of worlds; a single world is a batch of one. The adapters have a simulator and no physics of their own.
 
-    Arrays are the simulator's own and are rewritten by the next call; copy what must stay.
+    The next call overwrites the arrays; copy them to keep them.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class Simulator:
         n_threads: int | None = None,
         starts: Scenario | None = None,
     ) -> None:
-        """n_threads: one a core by default. starts: draw start, map and course by this scenario's rules instead."""
+        """n_threads: one a core by default. starts: a scenario whose start, map and course are drawn instead."""
         if not isinstance(scenario, Scenario):
             hint = "fovconn_env.scenario(id) makes one"
             raise TypeError(f"Simulator's scenario must be a Scenario, got {scenario!r}: {hint}")
@@ -63,25 +63,25 @@ class Simulator:
             check_count("n_threads", n_threads, "leave it out for one a core")
         rules = starts or scenario
         for name in ("n_agents", "course.legs"):
-            here, there = attrgetter(name)(scenario), attrgetter(name)(rules)
-            rule(there == here, f"starts.{name}", f"the scenario's ({here})", there, "a start must fit the flight")
+            own, other = attrgetter(name)(scenario), attrgetter(name)(rules)
+            rule(other == own, f"starts.{name}", f"the scenario's ({own})", other, "a start must fit the flight")
         self.scenario, self.starts, self.n_worlds = scenario, rules, n_worlds
         self.max_cycles = scenario.max_cycles
         self.params = scenario.params()
         self.world, self.state = allocate(scenario, n_worlds, 1, 1)
         self.state.episode["over"] = True  # until the first reset
         self._sampler = StartSampler(rules)
-        self.generators: list[np.random.Generator | None] = [None] * n_worlds  # each from its world's first reset on
-        self.seeds: list[int | None] = [None] * n_worlds  # which starts were drawn from; None where from none
-        self.n_threads = min(n_threads or _cores(), max(n_worlds // WORLDS_PER_SLICE, 1))
+        self.generators: list[np.random.Generator | None] = [None] * n_worlds  # from a world's first reset on
+        self.seeds: list[int | None] = [None] * n_worlds  # of the worlds' starts; None without a seed
+        self.n_threads = min(n_threads or _available_cores(), max(n_worlds // WORLDS_PER_SLICE, 1))
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
         warm = scenario.warmup if scenario.lambda2 in ("power", "flooding") else 0.0
-        self.warm_ticks = max(round(warm / scenario.clock.tick), 2)  # two fill the observation
+        self.warm_ticks = max(round(warm / scenario.clock.tick), 2)  # two ticks fill all columns of the observation
 
     # ------------------------------------------------------------------------------------------------ results
     @property
     def observations(self) -> np.ndarray:
-        """(B, N, D) float32, one flat observation a robot."""
+        """(B, N, D) float32, a flat observation for each robot."""
         return self.state.flat
 
     @property
@@ -115,20 +115,20 @@ class Simulator:
         return np.stack([body[name] for name in ("x", "y", "z", "yaw")], axis=-1)
 
     def adjacency(self) -> np.ndarray:
-        """The true weights A_ij (6), (B, N, N) float64; tilted axes and blocked sights count, noise does not."""
+        """The true weights A_ij (6), (B, N, N) float64, with tilted axes and occlusion, without noise."""
         return self.state.pair["weight"].copy()
 
     def graph(self, b: int | None = None) -> Graph:
-        """The observations as a graph of world b, or of all worlds side by side; of what is true, see `adjacency`."""
+        """The observations of world b as a graph, or of all worlds side by side; the true graph is `adjacency`."""
         if b is None:
             return observed_graph(self.state, slice(None))
         _check_index("b", b, self.n_worlds, "worlds")
         return observed_graph(self.state, slice(b, b + 1))
 
     def privileged(self) -> np.ndarray:
-        """(B, S) float32 for centralised critics, leader's yaw frame: `layout.STATE` a robot, then STATE_TEAM.
+        """(B, S) float32 for centralised critics, leader's yaw frame: `layout.STATE` of each robot, then STATE_TEAM.
 
-        A dead robot has a position and no heading: all else of it is 0.
+        A dead robot has a position; its other columns are 0.
         """
         body, episode = self.state.body, self.state.episode
         origin = body[np.arange(self.n_worlds), episode["leader"], None]
@@ -172,34 +172,33 @@ class Simulator:
         """Start the masked worlds (all by default) and return the observations, (B, N, D).
 
         seed: world b gets seed + b, or seed[b]; None goes on with each world's generator. poses: (N, 4) x, y, z, yaw
-        for every masked world. starts: one for every masked world, or starts[b] of B, taken as they are instead of
-        drawn; the seed then gives the noise, and faults where a start has none. Raises `ValueError`, leaving every
-        world as it was.
+        for every masked world. starts: one for every masked world, or starts[b] of B, used instead of drawn ones; the
+        seed then sets the noise, and the faults where a start has none. A `ValueError` leaves every world unchanged.
         """
         chosen = np.ones(self.n_worlds, bool) if mask is None else np.asarray(mask, bool)
         if chosen.shape != (self.n_worlds,):
             raise ValueError(f"mask must have the shape ({self.n_worlds},), got {chosen.shape}: one entry a world")
-        seeds, given = self._seeds(seed), self._given(starts, poses)
-        drawn: dict[int, tuple[np.random.Generator, EpisodeStart, int]] = {}
+        seeds, given = self._world_seeds(seed), self._world_starts(starts, poses)
+        new: dict[int, tuple[np.random.Generator, EpisodeStart, int]] = {}
         for b in np.flatnonzero(chosen).tolist():
-            rng = self._generator(b) if seeds is None else np.random.default_rng(seeds[b])
+            rng = self._copy_generator(b) if seeds is None else np.random.default_rng(seeds[b])
             start = self._sampler.draw(rng, poses) if given is None else check_start(given[b], self.scenario)
             key = int(rng.integers(2**63))
             faults = start.faults if len(start.faults) else draw_faults(self.scenario, rng)
-            drawn[b] = rng, start._replace(faults=faults), key
-        self._make_room(drawn)
-        for b, (rng, start, key) in drawn.items():
+            new[b] = rng, start._replace(faults=faults), key
+        self._grow_obstacle_arrays(new)
+        for b, (rng, start, key) in new.items():
             self.generators[b] = rng
             self.seeds[b] = None if seeds is None or given is not None else seeds[b]
-            self._place(b, start, key)
-        self._run(step.BEGIN, NO_ACTIONS, chosen)
+            self._write_start(b, start, key)
+        self._run_task(step.BEGIN, NO_ACTIONS, chosen)
         return self.observations
 
     def step(self, actions: np.ndarray, *, into: np.ndarray | None = None) -> np.ndarray:
         """Apply actions (B, N, 4), shares in [-1, 1] (`layout.ACTION`; beyond is clipped), and return observations.
 
-        into, (B, N, D) float32, gets a copy of them, made by the threads that step. Worlds whose episode is over stay
-        as they are. Raises `ValueError` for a wrong shape or NaN, naming world and robot, before anything moves.
+        into: (B, N, D) float32; the stepping threads copy the observations to it. Worlds whose episode is over do not
+        change. Raises `ValueError`, naming world and robot, for a wrong shape or NaN; then nothing moves.
         """
         actions = as_numbers("actions", actions)
         shape = (self.n_worlds, self.scenario.n_agents, 4)
@@ -212,20 +211,20 @@ class Simulator:
             raise ValueError(
                 f"action of uav_{i} of world {b} must be finite, got {actions[b, i].tolist()}: did the policy diverge?"
             )
-        self._run(step.ADVANCE, actions, NO_MASK, into)
+        self._run_task(step.ADVANCE, actions, NO_MASK, into)
         return self.observations
 
     # ------------------------------------------------------------------------------------------------ operator
     @property
     def leader(self) -> Leader | Recorded:
-        """What moves the operator's stick in all worlds. "waypoints" and "human" may be set in place of each other.
+        """The operator that moves the stick in all worlds. "waypoints" and "human" may be set to each other.
 
-        It then holds for later episodes, too. A human's stick is zero until it is pushed; who flies along way points
-        goes on to the one that the leader has not reached.
+        A new value also holds for later episodes. The stick of a human is zero until `push`; the operator of the way
+        points continues with the next one that the leader has not reached.
         """
         number = int(self.params["leader"][0])
-        words = cast("tuple[Leader, ...]", SWITCHES["leader"])
-        return words[number] if number < len(words) else self.scenario.leader
+        names = cast("tuple[Leader, ...]", SWITCHES["leader"])
+        return names[number] if number < len(names) else self.scenario.leader
 
     @leader.setter
     def leader(self, kind: Literal["waypoints", "human"]) -> None:
@@ -238,14 +237,14 @@ class Simulator:
         self.params["leader"] = SWITCHES["leader"].index(kind)
         for name in _STICK:
             self.state.episode[name][~self.over] = 0.0
-        self._resteer()
+        self._update_sticks()
 
     def push(self, stick: npt.ArrayLike) -> None:
         """Give a human leader's stick, (3,) for all worlds or (B, 3), m/s in the leader's yaw frame.
 
-        Longer than `Scenario.stick_speed` is clipped to it. It stays until the next push and is zero after a reset; the
-        leader's observation shows it at once. Worlds whose episode is over stay as they are. Raises `ValueError` for
-        another leader, a wrong shape or NaN, before anything changes.
+        Its length is clipped to `Scenario.stick_speed`. It holds until the next push and is zero after a reset; the
+        leader's observation is updated at once. Worlds whose episode is over do not change. Raises `ValueError` for
+        another leader, a wrong shape or NaN; then nothing changes.
         """
         rule(self.leader == "human", "Simulator.leader", "'human' for a push", self.leader, "the stick is not yours")
         stick = as_numbers("stick", stick)
@@ -255,18 +254,18 @@ class Simulator:
         if not np.isfinite(stick).all():
             raise ValueError(f"stick must be finite, got {stick.tolist()}: m/s; is the joystick calibrated?")
         speed, limit = np.hypot(np.hypot(stick[..., 0], stick[..., 1]), stick[..., 2]), self.scenario.stick_speed
-        over = speed > limit * (1.0 + 1e-12)  # what is clipped stays as it is when it is pushed again
-        stick = stick * np.where(over, limit / np.where(over, speed, 1.0), 1.0)[..., None]
+        too_long = speed > limit * (1.0 + 1e-12)  # a clipped stick does not change when it is pushed again
+        stick = stick * np.where(too_long, limit / np.where(too_long, speed, 1.0), 1.0)[..., None]
         for k, name in enumerate(_STICK):
             self.state.episode[name][~self.over] = np.broadcast_to(stick, (self.n_worlds, 3))[~self.over, k]
-        self._show_stick()
+        self._write_sticks()
 
     def lead(self, robot: int, *, world: int | None = None) -> None:
         """Make a robot the leader, of one world or of all, from the next step until the end of the episode.
 
-        Observations show it at once: is_leader and the stick, which for a human stays as it was pushed, now in the new
-        leader's yaw frame. Worlds whose episode is over stay as they are. Raises `ValueError` for a robot or world that
-        is not there, for a dead robot, and where there is no leader.
+        The observations' is_leader and stick are updated at once; a human's stick keeps its numbers, now in the new
+        leader's yaw frame. Worlds whose episode is over do not change. Raises `ValueError` for an index out of range,
+        for a dead robot, and for a scenario without leader.
         """
         rule(self.leader != "none", "Simulator.leader", "any but none to lead", "none", "nobody holds a stick")
         _check_index("robot", robot, self.scenario.n_agents, "robots")
@@ -277,42 +276,44 @@ class Simulator:
         if dead.any():
             raise ValueError(f"robot must be alive to lead, got uav_{robot}, dead in world {dead.argmax()}: see infos")
         self.state.episode["leader"][chosen] = robot
-        self._resteer()
+        self._update_sticks()
 
-    def _resteer(self) -> None:
-        """The operator's sticks anew, after a change of leader."""
+    def _update_sticks(self) -> None:
+        """Compute the operator's sticks after a change of leader."""
         world, state = self.world, self.state
         operator.reset_sticks(state.body, world.waypoint, world.n_waypoints, world.stick, state.episode, self.params)
-        self._show_stick()
+        self._write_sticks()
 
-    def _show_stick(self) -> None:
-        """Leaders and sticks into the observations, as a step writes them."""
-        going, own, episode = ~self.over, self.state.own_row, self.state.episode
-        leads = (np.arange(self.scenario.n_agents) == episode["leader"][:, None]) & self.state.body["alive"]
-        own["is_leader"][going] = leads[going]
+    def _write_sticks(self) -> None:
+        """Write leaders and sticks to the observations, as a step does."""
+        running, own, episode = ~self.over, self.state.own_row, self.state.episode
+        is_leader = (np.arange(self.scenario.n_agents) == episode["leader"][:, None]) & self.state.body["alive"]
+        own["is_leader"][running] = is_leader[running]
         for name, k in _STICK.items():
             stick = np.clip(episode[name].astype(np.float32), self.world.low[k], self.world.high[k])
-            own[name][going] = np.where(leads, stick[:, None], 0.0)[going]
+            own[name][running] = np.where(is_leader, stick[:, None], 0.0)[running]
 
-    def _generator(self, b: int) -> np.random.Generator:
-        """A copy of world b's generator. Before the first reset a fresh one: copies of a new simulator then differ."""
+    def _copy_generator(self, b: int) -> np.random.Generator:
+        """A copy of world b's generator; before the first reset a new one, so that copies of a new simulator differ."""
         rng = self.generators[b]
         return np.random.default_rng() if rng is None else copy.deepcopy(rng)
 
-    def _seeds(self, seed: int | Sequence[int] | None) -> list[int] | None:
+    def _world_seeds(self, seed: int | Sequence[int] | None) -> list[int] | None:
+        """The seed of each world, (B,), or None. Raises `ValueError` for other values."""
         if seed is None:
             return None
         whole = (int, np.integer)
         seeds = [seed + b for b in range(self.n_worlds)] if isinstance(seed, whole) else seed
-        fine = isinstance(seeds, Sequence) and len(seeds) == self.n_worlds
-        if not fine or not all(isinstance(s, whole) and s >= 0 for s in seeds):
+        complete = isinstance(seeds, Sequence) and len(seeds) == self.n_worlds
+        if not complete or not all(isinstance(s, whole) and s >= 0 for s in seeds):
             many = f", or {self.n_worlds} of them" if self.n_worlds > 1 else ""
             raise ValueError(f"seed must be a whole number, at least 0{many}, got {seed!r}: one a world")
         return [int(s) for s in seeds]
 
-    def _given(
+    def _world_starts(
         self, starts: EpisodeStart | Sequence[EpisodeStart] | None, poses: np.ndarray | None
     ) -> Sequence[EpisodeStart] | None:
+        """The given start of each world, (B,), or None. Raises `ValueError` for another number, or with poses."""
         if starts is None:
             return None
         rule(poses is None, "poses", "left out where starts are given", poses, "a start has poses")
@@ -320,10 +321,10 @@ class Simulator:
         rule(len(given) == self.n_worlds, "starts", f"one, or {self.n_worlds} of them", len(given), "one a world")
         return given
 
-    def _make_room(self, drawn: dict) -> None:
-        """Grow the padded obstacle arrays to what the new starts need."""
-        n_pieces = max([self.world.piece.shape[1], *(len(start.pieces) for _, start, _ in drawn.values())])
-        n_vertices = max([self.world.vertex.shape[1], *(len(start.vertices) for _, start, _ in drawn.values())])
+    def _grow_obstacle_arrays(self, new: dict) -> None:
+        """Grow the padded obstacle arrays to the size of the new starts."""
+        n_pieces = max([self.world.piece.shape[1], *(len(start.pieces) for _, start, _ in new.values())])
+        n_vertices = max([self.world.vertex.shape[1], *(len(start.vertices) for _, start, _ in new.values())])
         if (n_pieces, n_vertices) == (self.world.piece.shape[1], self.world.vertex.shape[1]):
             return
         piece = np.zeros((self.n_worlds, n_pieces), self.world.piece.dtype)
@@ -334,8 +335,8 @@ class Simulator:
         )
         self.world = self.world._replace(piece=piece, vertex=vertex)
 
-    def _place(self, b: int, start: EpisodeStart, key: int) -> None:
-        """Clear the records of world b and put the start into them."""
+    def _write_start(self, b: int, start: EpisodeStart, key: int) -> None:
+        """Clear the records of world b and write the start to them."""
         clear(self.world, self.state, b)
         self.world.piece[b, : len(start.pieces)], self.world.vertex[b, : len(start.vertices)] = (
             start.pieces,
@@ -348,11 +349,11 @@ class Simulator:
         self.state.episode["key"][b] = key
         self.state.episode["max_steps"][b] = self.max_cycles
 
-    def _run(self, task: int, actions: np.ndarray, mask: np.ndarray, into: np.ndarray | None = None) -> None:
-        """Run a task over all worlds; where there are worlds enough, threads take slices of them in turn."""
+    def _run_task(self, task: int, actions: np.ndarray, mask: np.ndarray, into: np.ndarray | None = None) -> None:
+        """Run a task over all worlds; in large batches threads take slices of worlds in turn."""
         n_slices = 1 if self.n_threads == 1 else min(4 * self.n_threads, self.n_worlds // WORLDS_PER_SLICE)
         edges = [self.n_worlds * k // n_slices for k in range(n_slices + 1)]
-        slices = iter(list(itertools.pairwise(edges)))  # to take the next one is atomic
+        slices = iter(list(itertools.pairwise(edges)))  # next() is atomic
 
         def work() -> None:
             own = scratch(self.scenario.n_agents)
@@ -362,11 +363,11 @@ class Simulator:
                     into[first:last] = self.state.flat[first:last]
 
         if self.n_threads > 1 and (self._pool is None or self._pool[0] != os.getpid()):
-            self._pool = os.getpid(), ThreadPoolExecutor(self.n_threads - 1)  # a forked child has none of its parent
-        helpers = [self._pool[1].submit(work) for _ in range(self.n_threads - 1)] if self._pool else []
+            self._pool = os.getpid(), ThreadPoolExecutor(self.n_threads - 1)  # threads do not survive a fork
+        futures = [self._pool[1].submit(work) for _ in range(self.n_threads - 1)] if self._pool else []
         work()
-        for helper in helpers:
-            helper.result()
+        for future in futures:
+            future.result()
 
     def __getstate__(self) -> dict:
         return {**self.__dict__, "_pool": None}

@@ -1,6 +1,6 @@
-"""How an episode begins: start poses, way points and obstacles, drawn from a scenario and one generator.
+"""Starts of episodes: poses, way points and obstacles, drawn from a scenario with one generator.
 
-World frame, metres and radians. Draws are bounded: a scenario that leaves no room is a `ValueError`.
+World frame, metres and radians. The number of draws is bounded: a scenario without room is a `ValueError`.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ from fovconn_env.sim.memory import NO_ACTIONS, allocate, clear, place, scratch
 MAX_TRIES = 2000  # starts drawn before giving up
 MAX_MAPS = 20  # random maps drawn before giving up
 MARGIN = 3.0  # m, obstacles reach this far beyond starts and way points
+NO_OBSTACLES = (np.zeros(0, records.PIECE), np.zeros((0, 2)))  # pieces, vertices
 
 
 class EpisodeStart(NamedTuple):
-    """Where one episode begins."""
+    """Start of one episode."""
 
     poses: np.ndarray  # (N, 4) x, y, z, yaw
     waypoints: np.ndarray  # (W, 3), W = 0 without a course
@@ -36,20 +37,20 @@ class EpisodeStart(NamedTuple):
 
 
 class StartSampler:
-    """Draws starts for one scenario and tries them on a world of its own, so that a failed draw changes nothing."""
+    """Draws starts for one scenario. A world of its own tests them, so that a failed draw changes nothing else."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
         self.params, self.scratch = scenario.params(), scratch(scenario.n_agents)
-        self._stage: tuple[records.World, records.State] | None = None  # where `assess` tries a start
+        self._trial: tuple[records.World, records.State] | None = None  # the world in which `assess` tests a start
 
     def draw(self, rng: np.random.Generator, poses: np.ndarray | None = None) -> EpisodeStart:
-        """A start that keeps the scenario's rules; given `poses` (N, 4) are used as they are, if nothing collides.
+        """A start that keeps the scenario's rules. Given `poses` (N, 4) are used if nothing collides.
 
-        Raises `ValueError` if no start is found, or if given poses overlap or stand in an obstacle.
+        Raises `ValueError` if no start is found, or if given poses overlap or touch an obstacle.
         """
-        drawn = isinstance(self.scenario.map, (Forest, Corridor))
-        for _ in range(MAX_MAPS if drawn else 1):
+        random_map = isinstance(self.scenario.map, (Forest, Corridor))
+        for _ in range(MAX_MAPS if random_map else 1):
             start = self._draw_once(rng, poses)
             if start is not None:
                 return start
@@ -68,44 +69,44 @@ class StartSampler:
     def _draw_once(self, rng: np.random.Generator, poses: np.ndarray | None) -> EpisodeStart | None:
         scenario = self.scenario
         if not isinstance(scenario.map, Map):
-            team = check_poses(poses, scenario) if poses is not None else self._poses(rng, None)
-            if team is None:
+            placed = check_poses(poses, scenario) if poses is not None else self._draw_poses(rng, None)
+            if placed is None:
                 return None
-            waypoints = self._course(rng, team)
+            waypoints = self._draw_course(rng, placed)
             if scenario.map is None:
-                return self._start(team, waypoints, None)
-            obstacles = self._generated(scenario.map, rng, team, waypoints)
+                return self._make_start(placed, waypoints, None)
+            obstacles = self._generate_map(scenario.map, rng, placed, waypoints)
             if obstacles is not None and poses is not None:
-                check_room(team, obstacles, scenario)
-            if obstacles is None or (poses is None and not self._fits(team, obstacles)):
+                check_clearance(placed, obstacles, scenario)
+            if obstacles is None or (poses is None and not self._is_valid(placed, obstacles)):
                 return None
-            return self._start(team, waypoints, obstacles)
+            return self._make_start(placed, waypoints, obstacles)
         obstacles = scenario.map
-        team = check_poses(poses, scenario) if poses is not None else self._poses(rng, obstacles)
-        if team is None:
+        placed = check_poses(poses, scenario) if poses is not None else self._draw_poses(rng, obstacles)
+        if placed is None:
             return None
-        check_room(team, obstacles, scenario)
+        check_clearance(placed, obstacles, scenario)
         for _ in range(MAX_TRIES):
-            waypoints = self._course(rng, team)
+            waypoints = self._draw_course(rng, placed)
             if len(waypoints) == 0 or obstacles.clearance(waypoints).min() >= scenario.start.clearance:
-                return self._start(team, waypoints, obstacles)
+                return self._make_start(placed, waypoints, obstacles)
         raise ValueError(
             f"Course must keep its way points {scenario.start.clearance:g} m from the map's obstacles, found none in "
             f"{MAX_TRIES} draws: shorten Course.leg or use a map with more room"
         )
 
-    def _poses(self, rng: np.random.Generator, obstacles: Map | None) -> np.ndarray | None:
+    def _draw_poses(self, rng: np.random.Generator, obstacles: Map | None) -> np.ndarray | None:
         start, n = self.scenario.start, self.scenario.n_agents
         sides = np.array(start.box) * [math.sqrt(n / 6), math.sqrt(n / 6), 1.0]
         for _ in range(MAX_TRIES):
             poses = np.empty((n, 4))
             poses[:, :3] = (rng.random((n, 3)) - 0.5) * sides
             poses[:, 3] = rng.uniform(-np.pi, np.pi, n)
-            if self._fits(poses, obstacles):
+            if self._is_valid(poses, obstacles):
                 return poses
         return None
 
-    def _fits(self, poses: np.ndarray, obstacles: Map | None) -> bool:
+    def _is_valid(self, poses: np.ndarray, obstacles: Map | None) -> bool:
         start = self.scenario.start
         if obstacles is not None and obstacles.clearance(poses[:, :3]).min() < start.clearance:
             return False
@@ -113,15 +114,15 @@ class StartSampler:
         return least >= start.spacing and start.lambda2_low < lambda2 < start.lambda2_high
 
     def assess(self, poses: np.ndarray, obstacles: Map | None = None) -> tuple[float, float]:
-        """True lambda2 of a standing team and the least distance of two centres, m. poses: (N, 4)."""
+        """True lambda2 of a team at rest and the least distance of two robots, m. poses: (N, 4)."""
         pieces, vertices = obstacles.flatten() if obstacles is not None else NO_OBSTACLES
         if (
-            self._stage is None
-            or len(pieces) > self._stage[0].piece.shape[1]
-            or len(vertices) > len(self._stage[0].vertex[0])
+            self._trial is None
+            or len(pieces) > self._trial[0].piece.shape[1]
+            or len(vertices) > len(self._trial[0].vertex[0])
         ):
-            self._stage = allocate(self.scenario, 1, max(len(pieces), 1), max(len(vertices), 1))
-        world, state = self._stage
+            self._trial = allocate(self.scenario, 1, max(len(pieces), 1), max(len(vertices), 1))
+        world, state = self._trial
         clear(world, state, 0)
         world.piece[0, : len(pieces)], world.vertex[0, : len(vertices)] = pieces, vertices
         place(state.body[0], poses)
@@ -129,25 +130,27 @@ class StartSampler:
         return float(state.episode["lambda2"][0]), float(state.body["nearest"].min())
 
     def __getstate__(self) -> dict:
-        return {**self.__dict__, "_stage": None}  # a copy's views would be arrays of another type
+        return {**self.__dict__, "_trial": None}  # a copy's views would be arrays of another type
 
-    def _course(self, rng: np.random.Generator, poses: np.ndarray) -> np.ndarray:
+    def _draw_course(self, rng: np.random.Generator, poses: np.ndarray) -> np.ndarray:
         course = self.scenario.course
         if self.scenario.leader == "none":
             return np.zeros((0, 3))
-        at, heading, points = poses[self.scenario.leader_index, :3], rng.uniform(-np.pi, np.pi), []
+        point, heading, points = poses[self.scenario.leader_index, :3], rng.uniform(-np.pi, np.pi), []
         for _ in range(course.legs):
             climb = rng.uniform(-course.climb, course.climb)
-            level = math.sqrt(1.0 - climb * climb)
-            at = at + course.leg * np.array([level * math.cos(heading), level * math.sin(heading), climb])
-            points.append(at)
+            horizontal = math.sqrt(1.0 - climb * climb)
+            point = point + course.leg * np.array(
+                [horizontal * math.cos(heading), horizontal * math.sin(heading), climb]
+            )
+            points.append(point)
             heading += rng.choice([-1.0, 1.0]) * rng.uniform(course.turn_low, course.turn_high)
         return np.array(points)
 
-    def _generated(
+    def _generate_map(
         self, kind: Forest | Corridor, rng: np.random.Generator, poses: np.ndarray, waypoints: np.ndarray
     ) -> Map | None:
-        """A map drawn for this team and course, None where they leave no room for one."""
+        """A random map for these poses and this course; None if there is no room for it."""
         clearance = self.scenario.start.clearance
         if isinstance(kind, Corridor):
             return kind.generate(rng, poses[:, :3], waypoints, clearance)
@@ -155,30 +158,27 @@ class StartSampler:
         low, high = places[:, :2].min(0) - MARGIN, places[:, :2].max(0) + MARGIN
         return kind.generate(rng, (low[0], high[0], low[1], high[1]), places, clearance)
 
-    def _start(self, poses: np.ndarray, waypoints: np.ndarray, obstacles: Map | None) -> EpisodeStart:
+    def _make_start(self, poses: np.ndarray, waypoints: np.ndarray, obstacles: Map | None) -> EpisodeStart:
         pieces, vertices = obstacles.flatten() if obstacles is not None else NO_OBSTACLES
         return EpisodeStart(poses, waypoints, pieces, vertices)
 
 
 def draw_faults(scenario: Scenario, rng: np.random.Generator) -> np.ndarray:
-    """A scenario's faults in one episode, (F,) FAULT, nothing left open; without any, nothing is drawn.
+    """A scenario's faults in one episode, (F,) FAULT, with all robots and times drawn.
 
-    Robots that are drawn are neither the leader nor named by another fault, nor twice the same, while there are others.
+    Drawn robots are different followers that no other fault names, as long as there are enough.
     """
     faults = np.zeros(len(scenario.faults), records.FAULT)
     if any(fault.robot is None for fault in scenario.faults):
-        spared = {fault.robot for fault in scenario.faults}
-        lead = {scenario.leader_index} if scenario.leader != "none" else set()
-        followers = [i for i in range(scenario.n_agents) if i not in lead]
-        drawn = itertools.cycle(rng.permutation([i for i in followers if i not in spared] or followers).tolist())
+        named = {fault.robot for fault in scenario.faults}
+        leader = {scenario.leader_index} if scenario.leader != "none" else set()
+        followers = [i for i in range(scenario.n_agents) if i not in leader]
+        drawn = itertools.cycle(rng.permutation([i for i in followers if i not in named] or followers).tolist())
     for record, fault in zip(faults, scenario.faults, strict=True):
         at = rng.uniform(*fault.at) if isinstance(fault.at, tuple) else fault.at
         record["robot"] = next(drawn) if fault.robot is None else fault.robot
         record["kind"], record["at"], record["until"] = FAULTS.index(fault.kind), at, at + fault.lasts
     return faults
-
-
-NO_OBSTACLES = (np.zeros(0, records.PIECE), np.zeros((0, 2)))
 
 
 def check_poses(poses: np.ndarray, scenario: Scenario) -> np.ndarray:
@@ -223,19 +223,23 @@ def check_start(start: EpisodeStart, scenario: Scenario) -> EpisodeStart:
     )
     finite = bool(np.isfinite(waypoints).all() and np.isfinite(vertices).all())
     rule(finite, "way points and vertices of a start", "finite", "NaN or infinity", "metres")
-    robots, fine = start.faults["robot"], len(start.faults) in (0, len(scenario.faults))
-    fine = fine and bool(((robots >= 0) & (robots < scenario.n_agents)).all())
+    robots, valid = start.faults["robot"], len(start.faults) in (0, len(scenario.faults))
+    valid = valid and bool(((robots >= 0) & (robots < scenario.n_agents)).all())
     rule(
-        fine, "faults of a start", f"{len(scenario.faults)} of the scenario's robots", robots.tolist(), "or none: drawn"
+        valid,
+        "faults of a start",
+        f"{len(scenario.faults)} of the scenario's robots",
+        robots.tolist(),
+        "or none: drawn",
     )
     return start._replace(poses=poses, waypoints=waypoints, vertices=vertices)
 
 
-def check_room(poses: np.ndarray, obstacles: Map, scenario: Scenario) -> None:
-    """`ValueError` if a robot of poses (N, 4) touches an obstacle."""
-    free = obstacles.clearance(poses[:, :3])
-    if free.min() < scenario.collision_obstacle:
+def check_clearance(poses: np.ndarray, obstacles: Map, scenario: Scenario) -> None:
+    """Raise `ValueError` if a robot at poses (N, 4) touches an obstacle."""
+    distance = obstacles.clearance(poses[:, :3])
+    if distance.min() < scenario.collision_obstacle:
         raise ValueError(
-            f"poses must keep {scenario.collision_obstacle:g} m from obstacles, got {free.min():.3g} m for "
-            f"uav_{free.argmin()}: nearer counts as a collision"
+            f"poses must keep {scenario.collision_obstacle:g} m from obstacles, got {distance.min():.3g} m for "
+            f"uav_{distance.argmin()}: nearer counts as a collision"
         )

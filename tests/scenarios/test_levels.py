@@ -8,7 +8,7 @@ import pytest
 
 import fovconn_env
 from fovconn_env import LEVELS, PRESETS, Map, Scenario, Simulator, scenario
-from fovconn_env.sim.starts import StartSampler, check_room
+from fovconn_env.sim.starts import StartSampler, check_clearance
 
 ALL = [(name, level) for name in PRESETS for level in range(1, len(LEVELS.get(name, ())) + 2)]
 
@@ -27,7 +27,7 @@ def test_every_level_starts_as_its_settings_say(name, level):
         obstacles = drawn(start)
         points = np.vstack([start.poses[:, :3], start.waypoints])
         assert obstacles.clearance(points).min() >= chosen.start.clearance - 1e-6
-        check_room(start.poses, obstacles, chosen)
+        check_clearance(start.poses, obstacles, chosen)
         lambda2, _ = StartSampler(chosen).assess(start.poses, obstacles)
         assert low < lambda2 < high
         assert len(start.waypoints) == (0 if chosen.leader == "none" else chosen.course.legs)
