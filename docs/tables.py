@@ -77,7 +77,7 @@ def pages() -> dict[Path, str]:
 
 def keys_table(name: str) -> str:
     """The Markdown table of a group of keys of `fovconn play`."""
-    pad = [*gamepad.AXES, *((button.name, button.words) for button in gamepad.BUTTONS)]
+    pad = [*gamepad.AXES, *((button.name, button.description) for button in gamepad.BUTTONS)]
     rows = {"mouse": keyboard.MOUSE, "gamepad": pad}.get(name) or keyboard.rows(name)
     return markdown(([name, "does"], [[f"`{keys}`", words] for keys, words in rows]))
 

@@ -69,8 +69,8 @@ class Recovery(Expert):
             x, y, z = memory[name].T
             memory[name] = np.stack([c * x + s * y, c * y - s * x, z], axis=-1) - flown
         positions = bearings(neighbors) * neighbors["distance"].astype(np.float64)[..., None]
-        known = positions.any(axis=-1)
-        located, nearest = known.any(axis=-1), positions[np.arange(len(flat)), known.argmax(axis=1)]
+        has_bearing = positions.any(axis=-1)
+        located, nearest = has_bearing.any(axis=-1), positions[np.arange(len(flat)), has_bearing.argmax(axis=1)]
         memory["neighbor"][located], memory["located"][located] = nearest[located], True
         linked = (neighbors["weight"] >= self.good).any(axis=1)
         memory["goal"][linked] = 0.0

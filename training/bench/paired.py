@@ -1,4 +1,4 @@
-"""This tree's speed beside another tree's: both run at once and take turns, so that a drift of the machine meets both.
+"""Speed of this tree and of another tree: both run at once and take turns, so that a drift of the machine affects both.
 
 Both run the cases of this tree, each on its own code, and make the same calls: equal flights, if the trees are equal.
 """
@@ -44,7 +44,7 @@ for line in sys.stdin:
 
 
 class Ratio(NamedTuple):
-    """How many times as fast as the other tree's this tree's case is: the median of each repetition's pairs of laps."""
+    """Speed of a case relative to the other tree: medians over each repetition's pairs of laps."""
 
     key: str
     name: str
@@ -85,7 +85,7 @@ def compare_speed(
 
 
 def record(ratios: Sequence[Ratio], base: str, settings: dict[str, Any], effort: Effort) -> dict[str, Any]:
-    """Everything about a comparison that is worth keeping, as `report.record` of the cases of one tree."""
+    """The record of a comparison, as `report.record` of the cases of one tree."""
     bars = [Bar(f"{ratio.name}, this tree / baseline", ratio.key, (), LEAST) for ratio in ratios]
     return {
         "finished": time.strftime("%Y-%m-%dT%H:%M:%S%z"),

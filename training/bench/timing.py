@@ -1,4 +1,4 @@
-"""How fast the environment steps, beside others that are installed: cases taking turns in one run, medians."""
+"""Speed of the environment and of other installed ones: interleaved cases in one run, medians."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Progress = Callable[[str, int, int], None]  # what comes next, calls done, calls
 
 
 class Timing(NamedTuple):
-    """What a case gave: `rates` are environment steps a second (or resets, or pictures), one a repetition."""
+    """Result of a case: `rates` are environment steps (or resets, or pictures) per second, one a repetition."""
 
     key: str
     name: str
@@ -35,12 +35,12 @@ class Timing(NamedTuple):
 
     @property
     def median(self) -> float:
-        """Environment steps a second."""
+        """Median of environment steps per second."""
         return statistics.median(self.rates)
 
 
 class Memory(NamedTuple):
-    """Peak of a process of its own, in bytes: with everything imported, and after stepping a batch."""
+    """Peak memory of a separate process, bytes: after the imports, and after steps of a batch."""
 
     worlds: int
     imports: int
@@ -48,7 +48,7 @@ class Memory(NamedTuple):
 
 
 class Agenda(NamedTuple):
-    """What a run will do."""
+    """Plan of a run."""
 
     scenario: Scenario
     effort: Effort
@@ -58,7 +58,7 @@ class Agenda(NamedTuple):
 
 
 class Result(NamedTuple):
-    """What a run gave."""
+    """Result of a run."""
 
     agenda: Agenda
     timings: list[Timing]
@@ -83,7 +83,7 @@ def agenda(chosen: Scenario, effort: Effort, only: Sequence[str] = (), against: 
 
 
 def run(todo: Agenda, progress: Progress | None = None) -> Result:
-    """Work an agenda off; `progress` is told the name of what comes next, and how much is done."""
+    """Run an agenda; `progress` gets the name of the next case, and the numbers of finished and of all calls."""
     total, done = len(todo.plans) * (todo.effort.repetitions + 1) + todo.memory, 0
 
     def tell(name: str) -> None:
@@ -100,7 +100,7 @@ def run(todo: Agenda, progress: Progress | None = None) -> Result:
 
 
 def measure(chosen: Sequence[Plan], effort: Effort, tell: Callable[[str], None] = lambda name: None) -> list[Timing]:
-    """Time the cases in turn, `repetitions` times after a warm-up, so that a drift of the machine meets them all.
+    """Time the cases in turn, `repetitions` times after a warm-up, so that a drift of the machine affects them all.
 
     `tell` is called with the name of what comes next, repetitions + 1 times a case.
     """
@@ -128,16 +128,16 @@ def _timing(plan: Plan, case: Case, laps: list[tuple[float, int, int]]) -> Timin
     return Timing(plan.key, plan.name, case.agents, rates, 1000.0 * ends / steps)
 
 
-def check_groups(only: Sequence[str], known: Sequence[str] = GROUPS) -> list[str]:
-    """The groups to run, in their own order; all that are known if `only` names none."""
+def check_groups(only: Sequence[str], groups: Sequence[str] = GROUPS) -> list[str]:
+    """The groups to run, in the order of `groups`; all of them if `only` is empty."""
     for name in only:
-        if name not in known:
-            raise ValueError(f"--only must name some of {', '.join(known)}, got {name!r}")
-    return [group for group in known if group in only or not only]
+        if name not in groups:
+            raise ValueError(f"--only must name some of {', '.join(groups)}, got {name!r}")
+    return [group for group in groups if group in only or not only]
 
 
 def check_peers(against: Sequence[str]) -> tuple[list[str], list[str]]:
-    """The peers to run, in their own order, and a line for each that "installed" could not include."""
+    """The peers to run, in the order of PEERS, and a line for each one that "installed" has to leave out."""
     for name in against:
         if name not in (*PEERS, *INSTALLED):
             raise ValueError(f"--against must name some of {', '.join(PEERS)}, or installed, got {name!r}")
@@ -156,8 +156,8 @@ def _installed(peer: str) -> bool:
 def peak_memory(chosen: Scenario, n_worlds: int) -> Memory:
     """Peak memory of a process that makes a vector environment, resets it and makes ten steps."""
     code = f"import sys, pickle; from {__name__} import fly_once; fly_once(*pickle.load(sys.stdin.buffer))"
-    words = [sys.executable, "-c", code]
-    task = subprocess.run(words, input=pickle.dumps((chosen, n_worlds)), capture_output=True, check=True)
+    command = [sys.executable, "-c", code]
+    task = subprocess.run(command, input=pickle.dumps((chosen, n_worlds)), capture_output=True, check=True)
     imports, peak = task.stdout.split()[-2:]
     return Memory(n_worlds, int(imports), int(peak))
 
@@ -176,7 +176,7 @@ def fly_once(chosen: Scenario, n_worlds: int) -> None:
 def _peak() -> int:
     """Peak resident memory of this process so far, in bytes.
 
-    On Linux not from `getrusage`: what it says of a child includes what its parent held when it started the child.
+    Not from `getrusage` on Linux: its value for a child includes the parent's memory at the start of the child.
     """
     with contextlib.suppress(OSError, StopIteration):
         lines = Path("/proc/self/status").read_text().splitlines()

@@ -1,4 +1,4 @@
-"""Two trees of this project side by side: a program runs in each, in a process of its own, by that tree's own code.
+"""Comparison of two trees of this project: a program runs in a process for each tree, on the tree's own code.
 
     python -m fovconn_env.training.bench.trees --baseline ../other
 
@@ -73,7 +73,7 @@ for cell in arguments["cells"]:
 
 
 class Cell(NamedTuple):
-    """What is flown: a level of a scenario, by a policy."""
+    """One flight: a level of a scenario, and a policy."""
 
     scenario: str
     level: int
@@ -81,14 +81,14 @@ class Cell(NamedTuple):
 
 
 class Difference(NamedTuple):
-    """A flight that does not come out the same: `since` is the last step at which it did, -1 for none."""
+    """A flight with different results: `since` is the last equal step, -1 for none."""
 
     cell: Cell
     since: int
 
 
 class Pipes(NamedTuple):
-    """What a running program reads and writes, lines of text."""
+    """Input and output of a running program, lines of text."""
 
     stdin: IO[str]
     stdout: IO[str]
@@ -151,15 +151,15 @@ def compare(baseline: Path, chosen: Sequence[Cell], seed: int = 0) -> Iterator[D
     """Fly each cell in this tree and in the other; yields the cell if all hashes are equal, else the difference."""
     arguments = {"cells": chosen, "seed": seed, "every": EVERY}
     with ThreadPoolExecutor(2) as pool:
-        here, there = pool.map(lambda tree: list(run_in(tree, FLY, arguments)), (HERE, baseline))
-    for ours, theirs in zip(map(json.loads, here), map(json.loads, there), strict=True):
+        own, other = pool.map(lambda tree: list(run_in(tree, FLY, arguments)), (HERE, baseline))
+    for ours, theirs in zip(map(json.loads, own), map(json.loads, other), strict=True):
         cell = Cell(*ours[0])
         same = [a[0] for a, b in zip(ours[1], theirs[1], strict=False) if a == b]
         yield cell if ours == theirs else Difference(cell, same[-1] if same else -1)
 
 
 def main() -> None:
-    """Compare, print what differs, and exit with 1 where anything does."""
+    """Compare the trees, print the differences, and exit with 1 if there are any."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--baseline", type=Path, required=True, metavar="PATH", help="Another tree of this project.")
     parser.add_argument("--policy", action="append", help=f"Instead of {', '.join(LAWS)}, dagger and ppo; repeatable.")
@@ -168,7 +168,7 @@ def main() -> None:
     given = parser.parse_args()
     policies = given.policy or [*LAWS, "dagger", "ppo"]
     chosen = [cell for cell in cells(policies) if given.scenario in (None, cell.scenario)]
-    differences = [found for found in compare(given.baseline, chosen, given.seed) if isinstance(found, Difference)]
+    differences = [result for result in compare(given.baseline, chosen, given.seed) if isinstance(result, Difference)]
     for cell, since in differences:
         print(f"differs: {cell.scenario} level {cell.level}, {cell.policy}: equal until step {since}")
     print(f"{len(chosen) - len(differences)} of {len(chosen)} flights are equal, bit for bit")

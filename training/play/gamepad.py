@@ -17,7 +17,7 @@ class Button(NamedTuple):
     name: str
     number: int
     does: str
-    words: str
+    description: str
     value: int = 0
 
 

@@ -18,7 +18,7 @@ class Key(NamedTuple):
 
     names: tuple[str, ...]
     does: str  # axis of `Stick`, or a command of `cockpit.Cockpit`
-    words: str
+    description: str
     value: int = 0  # direction of an axis, or argument of the command
 
 
@@ -81,10 +81,10 @@ def rows(group: str) -> list[tuple[str, str]]:
             if key.value == 0:
                 table.append(("1-9", "fly that robot"))
         elif key.names[0].startswith("shift+"):
-            keys, words = table[-1]
-            table[-1] = f"{keys}, Shift+{keys}", words.replace("next", "next, previous")
+            keys, description = table[-1]
+            table[-1] = f"{keys}, Shift+{keys}", description.replace("next", "next, previous")
         else:
-            table.append((" ".join(_label(name) for name in key.names), key.words))
+            table.append((" ".join(_label(name) for name in key.names), key.description))
     return table
 
 

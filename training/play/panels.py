@@ -22,7 +22,7 @@ _TITLES = {"fly": "Fly", "team": "Team", "flight": "Flight", "picture": "Picture
 def help_columns() -> list[list[tuple[str, Rows]]]:
     """Titled tables of all keys, in two columns."""
     keys = {group: keyboard.rows(group) for group in keyboard.TABLE}
-    pad = [*gamepad.AXES, *((button.name, button.words) for button in gamepad.BUTTONS)]
+    pad = [*gamepad.AXES, *((button.name, button.description) for button in gamepad.BUTTONS)]
     titled = {_TITLES[group]: rows for group, rows in keys.items()} | {"Mouse": keyboard.MOUSE, "Gamepad": pad}
     return [
         [(title, titled[title]) for title in column]
@@ -77,16 +77,16 @@ def draw_panel(
     text_rects: list[pygame.Rect] = []
 
     def draw_text(text: str, color: str, at: tuple[int, int], bold: bool = False) -> None:
-        words = type_.render(text, color, bold=bold)
-        page.blit(words, at)
-        text_rects.append(pygame.Rect(at, words.get_size()))
+        rendered = type_.render(text, color, bold=bold)
+        page.blit(rendered, at)
+        text_rects.append(pygame.Rect(at, rendered.get_size()))
 
     x, top = box.left + line, box.top + line // 2
     for text, bold in ((title, True), (lead, False)):
         if text:
             draw_text(text, theme.text, (x, top), bold)
             top += line + line // 2
-    for column, (keys, words) in zip(columns, widths, strict=True):
+    for column, (keys, descriptions) in zip(columns, widths, strict=True):
         y = top
         for name, rows in column:
             if name:
@@ -97,7 +97,7 @@ def draw_panel(
                 draw_text(right, theme.text, (x + keys + line, y))
                 y += line
             y += line // 2
-        x += keys + words + 3 * line
+        x += keys + descriptions + 3 * line
     if foot:
         draw_text(foot, theme.faint, (box.left + line, box.bottom - line - line // 2))
     return text_rects
@@ -120,7 +120,7 @@ def _lay_out(
 ) -> tuple[pygame.Rect, list[tuple[int, int]]]:
     """The box of a panel, and the widths of its columns of keys and descriptions."""
     line, widths = type_.line, [_column_widths(type_, column) for column in columns]
-    tables = sum(keys + words + line for keys, words in widths) + 2 * line * (len(columns) - 1)
+    tables = sum(keys + descriptions + line for keys, descriptions in widths) + 2 * line * (len(columns) - 1)
     texts = type_.width(title, bold=True), type_.width(lead), type_.width(foot)
     height_needed = max(sum((bool(name) + len(rows)) * line + line // 2 for name, rows in column) for column in columns)
     height_needed += (line + line // 2) * sum(map(bool, (title, lead, foot))) + line // 2
@@ -131,4 +131,4 @@ def _column_widths(type_: Typesetter, column: list[tuple[str, Rows]]) -> tuple[i
     """Widths of the two columns of tables, px."""
     rows = [row for _, table in column for row in table]
     left = max((type_.width(keys, bold=True) for keys, _ in rows), default=0)
-    return left, max((type_.width(words) for _, words in rows), default=0)
+    return left, max((type_.width(descriptions) for _, descriptions in rows), default=0)
