@@ -82,7 +82,7 @@ BODY = _record(
         *((name, "b1") for name in "alive sees talks".split()),  # robot, camera, radio
     ]
 )
-# Rigid body, rotors and flight controller of the quadrotor model. World frame unless said.
+# Rigid body, rotors and flight controller of the quadrotor model. World frame unless noted.
 FLIGHT = _record(
     [
         *_numbers("qw qx qy qz"),  # attitude, body to world
@@ -138,7 +138,7 @@ INBOX = _record(  # what i last heard of j; what changes in every round stands f
 # ------------------------------------------------------------------------------------------------------ on board
 TRACK = _record(  # what i keeps about j
     [
-        ("present", "b1"),  # i sees j, or j says that it sees i
+        ("present", "b1"),  # i sees j, or j reports that it sees i
         ("held", "b1"),  # seen now, or missed for less than `coast`
         ("tracking", "b1"),  # the observer below runs
         ("valid", "b1"),  # the relative yaw may be used
@@ -173,7 +173,7 @@ EPISODE = _record(
         ("n_edges", "i8"),
         *_numbers("pushed travelled"),  # integrals of |stick|^2 and of v . stick
         *[(name, "b1") for name in "over terminated truncated success collision disconnected".split()],
-        ("rests", "b1"),  # who flies along way points pauses in the next step
+        ("rests", "b1"),  # the operator of the way points pauses in the next step
     ]
 )
 INFO_RECORD = record(INFO, "f8")
@@ -205,7 +205,7 @@ class State(NamedTuple):
     inbox: np.ndarray  # (B, N, N) INBOX: [receiver, sender]
     track: np.ndarray  # (B, N, N) TRACK
     belief: np.ndarray  # (B, N) BELIEF
-    beat: np.ndarray  # (B, N, N) int64, ticks in which each was last known to be there, see liveness.py: [knows, of]
+    beat: np.ndarray  # (B, N, N) int64, newest beats by tick, see liveness.py: [holder, of]
     beat_air: np.ndarray  # (B, L, N, N) int64, on the air: [slot, sender, of]
     # of lambda2 = "flooding"; elsewhere the sizes behind the robot's are 0
     table: np.ndarray  # (B, N, N, N + 1) each robot's table, see flooding.py

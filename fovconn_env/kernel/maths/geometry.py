@@ -125,7 +125,7 @@ def _within(az, bz, low, high):
 
 @kernel
 def _apart(px, py, qx, qy, piece, vertices):
-    """Whether the core lies farther than the radius to one side of p-q, before or beyond it: quick to tell."""
+    """Whether the core lies farther than the radius to one side of p-q, before or beyond it; a cheap test."""
     ux, uy = qx - px, qy - py
     square = ux * ux + uy * uy
     reach = piece.radius * math.sqrt(square)

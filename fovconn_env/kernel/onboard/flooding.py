@@ -1,6 +1,6 @@
 """lambda2 and v2 from the whole graph: every robot floods its row of A through the team and solves for itself.
 
-A robot's table (N, N + 1) holds in row k what robot k said last: A_k0 .. A_k(N-1) (6), then the tick in which k wrote
+A robot's table (N, N + 1) holds in row k what robot k sent last: A_k0 .. A_k(N-1) (6), then the tick in which k wrote
 it, counted from 1; all 0 where nothing has come from k. Tables go hop by hop, one link a tick.
 """
 
@@ -21,21 +21,21 @@ def write_own_row(table, tracks, i, tick):
 
 
 @kernel
-def copy_table(air, table):
-    """Copy a robot's table to the air: what the robot learns after that does not travel with it."""
+def copy_table(sent, table):
+    """Copy a robot's table into its message; later changes do not travel with it."""
     for k in range(table.shape[0]):
         for m in range(table.shape[1]):
-            air[k, m] = table[k, m]
+            sent[k, m] = table[k, m]
 
 
 @kernel
-def merge_table(table, heard):
-    """Take over the rows of a table heard that are newer than one's own; nothing is newer than the own row."""
+def merge_table(table, received):
+    """Copy the rows of a received table that are newer; the own row is always the newest."""
     n = table.shape[0]
     for k in range(n):
-        if heard[k, n] > table[k, n]:
+        if received[k, n] > table[k, n]:
             for m in range(n + 1):
-                table[k, m] = heard[k, m]
+                table[k, m] = received[k, m]
 
 
 @kernel
@@ -47,9 +47,9 @@ def is_fresh(row, now, p):
 
 @kernel
 def build_laplacian(table, laplacian, now, p):
-    """Write the Laplacian (N, N) of the team as a table has it; who is not heard of counts as gone and has no link.
+    """Write the Laplacian (N, N) of the team from a table; a robot whose row is not fresh has no link.
 
-    Of the two rows that tell of a link the newer one holds.
+    Of the two rows that hold a link's weight the newer one counts.
     """
     n = table.shape[0]
     for k in range(n):

@@ -1,7 +1,7 @@
-"""Who is still there: every robot passes on when it last had word of each, so that a split shows on board.
+"""Liveness by flooded heartbeats: a robot notices a split of the team, because beats stop arriving.
 
-A beat is the tick, counted from 1, in which a robot said that it is there. Word of it goes from robot to robot, one
-link a tick, with the first message of a tick.
+A beat is the tick, counted from 1, in which a robot wrote it. Every robot holds the newest beat of each (N,), and sends
+them with its first message of a tick, so that a beat travels one link a tick.
 """
 
 from __future__ import annotations
@@ -10,24 +10,24 @@ from fovconn_env.kernel.jit import kernel
 
 
 @kernel
-def send_beats(air, beats, i, tick):
-    """Robot i is there; what it knows of all beats goes on the air."""
+def send_beats(sent, beats, i, tick):
+    """Renew robot i's own beat, and copy all beats that it holds into its message."""
     beats[i] = tick
     for k in range(beats.shape[0]):
-        air[k] = beats[k]
+        sent[k] = beats[k]
 
 
 @kernel
-def merge_beats(beats, heard):
-    """Take over what is newer."""
+def merge_beats(beats, received):
+    """Keep the newer beat of each robot, held or received."""
     for k in range(beats.shape[0]):
-        beats[k] = max(beats[k], heard[k])
+        beats[k] = max(beats[k], received[k])
 
 
 @kernel
 def live_share(beats, now, p):
-    """Share of the team that robot i has had word of within `liveness`, itself included; nobody is missed earlier."""
-    there = 0
+    """Share of the team, robot i included, whose newest beat is at most `liveness` seconds old in tick `now`."""
+    alive = 0
     for k in range(beats.shape[0]):
-        there += (now - beats[k]) * p.tick <= p.liveness + 1e-9
-    return there / beats.shape[0]
+        alive += (now - beats[k]) * p.tick <= p.liveness + 1e-9
+    return alive / beats.shape[0]

@@ -33,43 +33,47 @@ def bounded(value):
 
 
 @kernel
-def agreed_weight(said, heard, p):
-    """A_ij (6) from what i said to j and j said to i in the same round; the same bits at both ends."""
-    if not said.seen and not heard.seen:
+def agreed_weight(sent, received, p):
+    """A_ij (6) from what i sent to j and received from j in the same round; the same bits at both ends."""
+    if not sent.seen and not received.seen:
         return 0.0
-    gamma = said.gamma + heard.gamma  # case 2 of Sec. III-C: only one of them measures
-    if said.seen == heard.seen:
+    gamma = sent.gamma + received.gamma  # case 2 of Sec. III-C: only one of them measures
+    if sent.seen == received.seen:
         gamma *= 0.5
-    return gamma * view_weight(said.f, heard.f, p.weight)
+    return gamma * view_weight(sent.f, received.f, p.weight)
 
 
 @kernel
-def agree_weight(track, said, heard, p):
-    """Bring robot i's weight of its link to j up to date: its own note to j, and the message that met it."""
-    if heard.news:
-        track.weight = agreed_weight(said, heard, p)
-    elif heard.age >= p.memory:
+def agree_weight(track, sent, inbox, p):
+    """Update robot i's weight of its link to j, from its own message to j and the one of the same round from j."""
+    if inbox.news:
+        track.weight = agreed_weight(sent, inbox, p)
+    elif inbox.age >= p.memory:
         track.weight = 0.0
 
 
 @kernel
-def power_round(belief, tracks, s, heard, contacts, p):
-    """One message round of robot i; all arguments are its own slices: s is what it said, heard[j] what met it last.
+def power_round(belief, tracks, sent, inboxes, contacts, p):
+    """Run one round of robot i, from its own last broadcast part (`sent`) and the messages of the same round (inboxes).
 
-    Where messages travel for several rounds it is called once in as many, so that s is what i still holds.
+    Where messages travel for L rounds it runs once in L rounds, so that robot i still holds what it sent.
     """
     lx = m1 = m2 = m3 = n1 = n2 = n3 = degree = strength = 0.0
     for j in contacts:
-        h = heard[j]
-        if h.age >= p.memory:
+        received = inboxes[j]
+        if received.age >= p.memory:
             continue
-        w = 1.0 / (1.0 + max(s.degree, h.degree))  # Metropolis weight
+        w = 1.0 / (1.0 + max(sent.degree, received.degree))  # Metropolis weight
         degree += 1.0
         strength += tracks[j].weight
-        lx += tracks[j].weight * (s.x - h.x)  # (L x)_i
-        n1, n2, n3 = n1 + w * (s.q1 - h.q1), n2 + w * (s.q2 - h.q2), n3 + w * (s.q3 - h.q3)  # (M q)_i
-        if h.fresh:
-            m1, m2, m3 = m1 + w * (s.y1 - h.y1), m2 + w * (s.y2 - h.y2), m3 + w * (s.y3 - h.y3)  # (M y)_i
+        lx += tracks[j].weight * (sent.x - received.x)  # (L x)_i
+        n1 += w * (sent.q1 - received.q1)  # (M q)_i
+        n2 += w * (sent.q2 - received.q2)
+        n3 += w * (sent.q3 - received.q3)
+        if received.fresh:
+            m1 += w * (sent.y1 - received.y1)  # (M y)_i
+            m2 += w * (sent.y2 - received.y2)
+            m3 += w * (sent.y3 - received.y3)
     x, y1 = belief.x, belief.y1
     belief.degree = degree
     g, kp, ki = p.power_g, p.power_kp, p.power_ki

@@ -12,7 +12,7 @@ from fovconn_env.kernel.maths.geometry import tilt
 from fovconn_env.kernel.maths.weights import range_weight, rise, sight_weight
 
 ESTIMATED, TRUE, NONE = range(3)  # scenarios.params.SWITCHES["relative_yaw"]
-LEVEL = 0.1  # a line of sight steeper than this horizontal share tells nothing about yaw
+LEVEL = 0.1  # a line of sight with less than this horizontal share is not used for yaw
 RELIABLE = 0.5  # of the gain in (21): from here on its value is taken as it is
 
 
@@ -27,7 +27,7 @@ def turned(c, s, angle):
 
 @kernel
 def dead_reckon(ego, p):
-    """What follows for this tick from robot i's odometry and IMU: its turn and way since the last, its optical axis."""
+    """Turn and displacement of robot i since the last tick, and its optical axis, from its odometry and IMU."""
     ego.turn_cos, ego.turn_sin = turned(1.0, 0.0, -ego.yaw_rate * p.tick)
     x, y = turned(ego.vx, ego.vy, -0.5 * ego.yaw_rate * p.tick)
     ego.shift_x, ego.shift_y = p.tick * x, p.tick * y
@@ -38,7 +38,7 @@ def dead_reckon(ego, p):
 
 @kernel
 def update_track(track, sight, ego, p):
-    """Take over what the camera says about one robot: position, f*_ij (10) and gamma_ij (9) of it.
+    """Update position, f*_ij (10) and gamma_ij (9) of robot j from the camera.
 
     A robot that was missed counts as still held for `coast` seconds, with its last values.
     """
@@ -58,27 +58,27 @@ def update_track(track, sight, ego, p):
 
 
 @kernel
-def estimate_yaw(track, sight, ego, heard, p):
+def estimate_yaw(track, sight, ego, inbox, p):
     """One tick of the estimator of yaw_ij. All arguments are robot i's: its record of j, sight, odometry, inbox."""
-    told = heard.age < p.memory  # j's last message still counts
-    watched = told and heard.seen
-    track.present = track.held or watched
+    recent = inbox.age < p.memory  # j's last message is younger than `memory`
+    seen_by_j = recent and inbox.seen
+    track.present = track.held or seen_by_j
     if not track.held:
-        if watched:
-            track.distance = math.sqrt(heard.px * heard.px + heard.py * heard.py + heard.pz * heard.pz)
+        if seen_by_j:
+            track.distance = math.sqrt(inbox.px * inbox.px + inbox.py * inbox.py + inbox.pz * inbox.pz)
         track.tracking = False
-        track.valid = watched and heard.yaw_valid
+        track.valid = seen_by_j and inbox.yaw_valid
         if track.valid:  # yellow phase of Fig. 7: j measures and i takes yaw_ij = -yaw_ji; white: hold the last value
-            track.cos_yaw, track.sin_yaw = heard.cos_yaw, -heard.sin_yaw
+            track.cos_yaw, track.sin_yaw = inbox.cos_yaw, -inbox.sin_yaw
         track.cos_used, track.sin_used = track.cos_yaw, track.sin_yaw
         return
     _update_observer(track, sight, ego, p)
     mutual, cos_direct, sin_direct = False, 1.0, 0.0
-    if watched and sight.seen:
-        mutual, cos_direct, sin_direct = _yaw_from_bearings(track, heard)
+    if seen_by_j and sight.seen:
+        mutual, cos_direct, sin_direct = _yaw_from_bearings(track, inbox)
     gain, norm, cos_hat, sin_hat = 0.0, 1.0, 1.0, 0.0
-    if told and sight.seen and track.since >= p.yaw_hold and (p.yaw_product or not mutual):
-        gain, norm, cos_hat, sin_hat = _yaw_from_motion(track, heard, p)
+    if recent and sight.seen and track.since >= p.yaw_hold and (p.yaw_product or not mutual):
+        gain, norm, cos_hat, sin_hat = _yaw_from_motion(track, inbox, p)
 
     c, s = track.cos_yaw, track.sin_yaw
     if not track.valid and mutual:
@@ -86,16 +86,16 @@ def estimate_yaw(track, sight, ego, heard, p):
     elif not track.valid and gain >= RELIABLE:  # the first reliable value, at once
         c, s, track.valid = cos_hat / norm, sin_hat / norm, True
     else:
-        share = (track.f * heard.f if p.yaw_product else 1.0) if mutual else 0.0  # paper: product; here an indicator
-        rate = heard.yaw_rate - ego.yaw_rate  # (19), odometry
+        share = (track.f * inbox.f if p.yaw_product else 1.0) if mutual else 0.0  # paper: product; here an indicator
+        rate = inbox.yaw_rate - ego.yaw_rate  # (19), odometry
         rate += p.yaw_k3 * share * (sin_direct * c - cos_direct * s)  # (20): k3 sin(yaw_ij - estimate)
         if gain > 0.0:
             rate += p.yaw_k2 * gain * (1.0 - share) * (sin_hat * c - cos_hat * s) / norm  # (21)
         c, s = turned(c, s, p.tick * rate)
     track.cos_yaw, track.sin_yaw = c, s
 
-    if mutual and track.valid and heard.yaw_valid:  # average on the circle of yaw_ij and -yaw_ji
-        cos_sum, sin_sum = c + heard.cos_yaw, s - heard.sin_yaw
+    if mutual and track.valid and inbox.yaw_valid:  # average on the circle of yaw_ij and -yaw_ji
+        cos_sum, sin_sum = c + inbox.cos_yaw, s - inbox.sin_yaw
         length = math.sqrt(cos_sum * cos_sum + sin_sum * sin_sum)
         if length > 1e-3:
             scale = 1.0 / length
@@ -107,7 +107,7 @@ def estimate_yaw(track, sight, ego, heard, p):
 def _update_observer(track, sight, ego, p):
     """Disturbance observer (15), (16) in the form (17): e follows iR_j v_j, the motion that i's own does not explain.
 
-    Exact over a tick of constant velocities. The vertical part tells nothing about yaw and is left out.
+    Exact over a tick of constant velocities. The vertical part holds no yaw and is left out.
     """
     if not track.tracking:
         track.tracking, track.since, track.lapse = True, 0.0, 0.0
@@ -129,9 +129,9 @@ def _update_observer(track, sight, ego, p):
 
 
 @kernel
-def _yaw_from_motion(track, heard, p):
+def _yaw_from_motion(track, inbox, p):
     """yaw_ij from e (16) and v_j: (gain of (21), norm, norm * cosine, norm * sine)."""
-    ux, uy = heard.vx, heard.vy
+    ux, uy = inbox.vx, inbox.vy
     c, s = ux * track.ex + uy * track.ey, ux * track.ey - uy * track.ex
     norm = math.sqrt(c * c + s * s)
     if norm <= 1e-9:
@@ -141,10 +141,10 @@ def _yaw_from_motion(track, heard, p):
 
 
 @kernel
-def _yaw_from_bearings(track, heard):
-    """yaw_ij from both bearings in mutual view: (does it tell, cosine, sine); a steep line of sight does not."""
+def _yaw_from_bearings(track, inbox):
+    """yaw_ij from both bearings in mutual view: (usable, cosine, sine); a steep line of sight is not usable."""
     ax, ay = track.x, track.y
-    bx, by = -heard.px, -heard.py
+    bx, by = -inbox.px, -inbox.py
     a2, b2 = ax * ax + ay * ay, bx * bx + by * by
     if min(a2, b2) <= (LEVEL * track.distance) ** 2:
         return False, 1.0, 0.0

@@ -1,4 +1,4 @@
-"""Faults: which cameras, radios and robots work in a tick. A dead robot has no camera and no radio, and rests."""
+"""Faults: which cameras, radios and robots work in a tick. Of a dead robot nothing works, and it is at rest."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ CAMERA, RADIO, ROBOT = range(3)  # settings.FAULTS
 
 @kernel
 def clear_faults(body):
-    """Camera, radio and robot work."""
+    """Set camera, radio and robot to working."""
     body.alive = body.sees = body.talks = True
 
 
@@ -27,7 +27,7 @@ def count_living(bodies):
 def apply_faults(bodies, unicast, faults, now):
     """Set what works at the time `now`, s on the clock; messages in the air from or to a dead radio are dropped.
 
-    faults (F,) FAULT; mail (L, N, N).
+    faults (F,) FAULT; unicast (L, N, N).
     """
     for i in range(bodies.shape[0]):
         clear_faults(bodies[i])
