@@ -94,7 +94,7 @@ def descend_potential(own, neighbors, slope, p):
     dlambda2/dp_i = sum_j (v2_i - v2_j)^2 R_i^T dA_ij/dp_i, and the same for the yaw: (5) with (12), (13).
     """
     vx = vy = vz = yaw_rate = 0.0
-    oix, oiy, oiz = tilt(p.axis_x, p.axis_y, p.axis_z, np.float64(own.roll), np.float64(own.pitch))
+    axis_i = tilt(p.axis_x, p.axis_y, p.axis_z, np.float64(own.roll), np.float64(own.pitch))
     for j in range(neighbors.shape[0]):
         row = neighbors[j]
         blind = row.f_ij == 0.0
@@ -102,16 +102,11 @@ def descend_potential(own, neighbors, slope, p):
             continue  # the gradient of a link that only j sees depends on the yaw of j
         ax, ay, az = tilt(p.axis_x, p.axis_y, p.axis_z, np.float64(row.roll), np.float64(row.pitch))
         c, s = np.float64(row.cos_yaw), np.float64(row.sin_yaw)
-        ojx, ojy, ojz = c * ax - s * ay, s * ax + c * ay, az  # iR_j o_C
-        bx, by, bz, distance = (
-            np.float64(row.bearing_x),
-            np.float64(row.bearing_y),
-            np.float64(row.bearing_z),
-            np.float64(row.distance),
-        )
+        axis_j = c * ax - s * ay, s * ax + c * ay, az  # iR_j o_C
+        bearing = np.float64(row.bearing_x), np.float64(row.bearing_y), np.float64(row.bearing_z)
         if row.yaw_valid == 0.0:
-            ojx, ojy, ojz = bx, by, bz  # j does not see i: in mutual view the yaw would be known
-        gradient = weight_gradient(bx, by, bz, distance, oix, oiy, oiz, ojx, ojy, ojz, p.weight, p)  # (12), (13)
+            axis_j = bearing  # j does not see i: in mutual view the yaw would be known
+        gradient = weight_gradient(bearing, np.float64(row.distance), axis_i, axis_j, p.weight, p)  # (12), (13)
         gx, gy, gz, g_yaw = gradient
         difference = np.float64(own.v2_hat) - np.float64(row.v2_hat)
         scale = -slope * difference * difference

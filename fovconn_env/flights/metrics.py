@@ -69,9 +69,8 @@ class Meter(Observer):
 
     def update(self) -> None:
         """Take in the step just made."""
-        sim, s = self.simulator, self.simulator.state
-        facts = s.body, s.pair, s.track, s.belief, s.mode, s.fiedler, s.info, s.episode, s.reward
-        _measure(*facts, self._sums, self._histograms, self._before, sim.params)
+        simulator = self.simulator
+        _measure(simulator.state, self._sums, self._histograms, self._before, simulator.params)
 
     def results(self) -> dict[str, np.ndarray]:
         """Measures of every episode, (B,) each; names and units in `docs/metrics.md`."""
@@ -147,14 +146,16 @@ def quantile(counts: np.ndarray, share: float) -> float:
 
 
 @entry
-def _measure(body, pair, track, belief, mode, fiedler, info, episode, reward, sums, histograms, before, params):
-    p, n = params[0], body.shape[1]
+def _measure(state, sums, histograms, before, params):
+    """Add the step just made to the sums (B,) and histograms of every open episode; before: weights (B, N, N)."""
+    p, body, pair, belief, episode = params[0], state.body, state.pair, state.belief, state.episode
+    n = body.shape[1]
     for b in range(body.shape[0]):
         s = sums[b]
         if s.open == 0:
             continue
         now, lambda2 = episode[b].step * p.step_time, episode[b].lambda2
-        _count_motion(body[b], reward[b], info[b], s, now, p)
+        _count_motion(body[b], state.reward[b], state.info[b], s, now, p)
         cause = _count_links(pair[b], before[b], s, p)
         s.steps += 1
         s.lambda2 += min(lambda2, p.lambda2_max)
@@ -162,14 +163,14 @@ def _measure(body, pair, track, belief, mode, fiedler, info, episode, reward, su
         connected = lambda2 > p.lambda2_min
         if connected:
             s.connected += 1
-            _align(body[b], belief[b], mode[b], fiedler[b], s, p)
+            _align(body[b], belief[b], state.mode[b], state.fiedler[b], s, p)
             for i in range(n):
                 if body[b, i].alive:
                     histograms[b, 0, _bin(abs(belief[b, i].lambda2_hat - lambda2) / lambda2)] += 1
         elif math.isnan(s.first_loss):
-            s.first_loss, s.split_cause = now, cause if cause > 0 else _weakness(pair[b], fiedler[b], p)
+            s.first_loss, s.split_cause = now, cause if cause > 0 else _weakness(pair[b], state.fiedler[b], p)
             s.split_alignment, s.split_hat = s.aligned, s.hat  # of the last step before it
-        _count_yaws(body[b], pair[b], track[b], s, histograms[b], now >= s.moved_at + WARM)
+        _count_yaws(body[b], pair[b], state.track[b], s, histograms[b], now >= s.moved_at + WARM)
         s.open = 0 if episode[b].over else 1
 
 

@@ -25,7 +25,7 @@ TILTS = [0.0, 0.3]
 @entry
 def gradient(b, d, o_i, o_j, p, out):
     out[0], out[1], out[2], out[3] = weights.weight_gradient(
-        b[0], b[1], b[2], d, o_i[0], o_i[1], o_i[2], o_j[0], o_j[1], o_j[2], p[0].weight, p[0]
+        (b[0], b[1], b[2]), d, (o_i[0], o_i[1], o_i[2]), (o_j[0], o_j[1], o_j[2]), p[0].weight, p[0]
     )
 
 

@@ -87,12 +87,13 @@ def view_slope(f_ji, kind):
 
 
 @kernel
-def weight_gradient(bx, by, bz, distance, oix, oiy, oiz, ojx, ojy, ojz, kind, p):
+def weight_gradient(bearing, distance, axis_i, axis_j, kind, p):
     """Gradient of A_ij with respect to robot i's motion: (R_i^T dA_ij/dp_i, dA_ij/dyaw_i), in 1/m and 1/rad.
 
-    b: bearing of j; o_i, o_j: optical axes; all unit, i's yaw frame. distance in m. Since
+    bearing of j and optical axes o_i, o_j: (x, y, z) each, unit, i's yaw frame. distance in m. Since
     b_ji = -(iR_j)^T b_ij, the paper's iR_j P_ji o_C equals P_ij o_j, and a_ji = -o_j . b_ij.
     """
+    (bx, by, bz), (oix, oiy, oiz), (ojx, ojy, ojz) = bearing, axis_i, axis_j
     a_ij = oix * bx + oiy * by + oiz * bz
     a_ji = -(ojx * bx + ojy * by + ojz * bz)
     f_ij, f_ji = sight_weight(a_ij, p), sight_weight(a_ji, p)

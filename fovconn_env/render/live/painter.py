@@ -38,6 +38,15 @@ class Marks(NamedTuple):
     grid: float = 0.0  # m between grid lines
 
 
+class Options(NamedTuple):
+    """What is drawn besides robots, obstacles and course."""
+
+    tracks: np.ndarray  # (T, N, 3) past positions, m
+    weak: list[tuple[int, int]]  # links to highlight
+    cones: bool  # the cameras' views
+    linked: int | None = None  # the robot whose links alone are drawn; None: all links
+
+
 class Painter:
     """Draws instants of a scenario in one theme. `size`: least half-width of a robot, pixels of the fine surface."""
 
@@ -66,16 +75,9 @@ class Painter:
         size: float,
         now: Instant,
         scene: StaticScene,
-        *,
-        tracks: np.ndarray,
-        weak: list[tuple[int, int]],
-        cones: bool,
-        linked: int | None = None,
+        options: Options,
     ) -> Marks:
-        """Draw everything but the ground. size: least half-width of a robot.
-
-        tracks (T, N, 3): past positions; weak: links to highlight; linked: the robot whose links alone are drawn.
-        """
+        """Draw everything but the ground. size: least half-width of a robot."""
         positions = now.poses[:, :3]
         pixels, depth = project(lens, positions)
         scale = scale_at(lens, depth)
@@ -85,11 +87,12 @@ class Painter:
         if not lens.parallel:
             self._paint_shadows(surface, lens, positions, half, scene.floor, pixels, depth > NEAR)
         self._paint_course(surface, lens, scene)
-        if len(tracks) > 1:
-            self._paint_trails(surface, lens, tracks)
-        if cones:
+        if len(options.tracks) > 1:
+            self._paint_trails(surface, lens, options.tracks)
+        if options.cones:
             self._paint_cones(surface, lens, positions, attitude, visible & now.sees)
-        parts = [*self._wall_parts(lens, scene), *self._link_parts(lens, now, pixels, half * scale, weak, linked)]
+        links = self._link_parts(lens, now, pixels, half * scale, options.weak, options.linked)
+        parts = [*self._wall_parts(lens, scene), *links]
         parts += self._robot_parts(lens, positions, attitude, half, now)
         parts += self._point_parts(lens, now, scene, size)
         for _, draw, *arguments in sorted(parts, key=lambda part: -part[0]):

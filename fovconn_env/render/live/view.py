@@ -12,7 +12,7 @@ from fovconn_env.render.live.history import History
 from fovconn_env.render.live.instant import Instant, instant_of
 from fovconn_env.render.live.legend import draw_legend
 from fovconn_env.render.live.page_layout import divide_page, text_height
-from fovconn_env.render.live.painter import Marks, Painter
+from fovconn_env.render.live.painter import Marks, Options, Painter
 from fovconn_env.render.live.pixels import MASKS, downsample, rgb_array
 from fovconn_env.render.live.static_scene import StaticScene
 from fovconn_env.render.live.strip import FINE, Strip
@@ -133,17 +133,9 @@ class View:
         grid = 2.0 if shown < 26.0 else 5.0
         self._painter.paint_ground(panel, lens, middle, radius, floor, grid)
         least = FINE * (place.height / 31 if self._scenario.n_agents <= 12 else place.height / 60)
-        marks = self._painter.paint(
-            panel,
-            lens,
-            0.8 * least if above else least,
-            now,
-            self._scene,
-            tracks=self._history.tracks(now.time - _TRAIL if settings.trails else math.inf),
-            weak=weak,
-            cones=settings.cones,
-            linked=settings.linked,
-        )
+        tracks = self._history.tracks(now.time - _TRAIL if settings.trails else math.inf)
+        options = Options(tracks, weak, settings.cones, settings.linked)
+        marks = self._painter.paint(panel, lens, 0.8 * least if above else least, now, self._scene, options)
         if above:
             pygame.draw.line(panel, self._colors.page, (0, 0), (0, size[1]), 4 * FINE)
         return marks._replace(grid=grid)
