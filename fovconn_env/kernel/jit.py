@@ -1,7 +1,7 @@
-"""The two decorators of compiled code, and a cache that notices an edit in any kernel file.
+"""The decorators of compiled code, and a cache that notices an edit in any kernel file.
 
-`kernel` marks a function called from compiled code, `entry` one called from Python. With `NUMBA_DISABLE_JIT=1` both
-leave plain Python behind.
+`kernel`, `stage` and `view` mark functions called from compiled code, `entry` one called from Python. With
+`NUMBA_DISABLE_JIT=1` they leave plain Python behind.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -27,12 +27,28 @@ R = TypeVar("R")
 _OPTIONS: dict[str, Any] = {"fastmath": False, "_nrt": False}
 _PACKAGE = Path(__file__).parents[1]
 # Stands in every file that holds compiled code.
-_MARK = re.compile(rb"^from fovconn_env\.kernel\.jit import .*\b(?:entry|kernel)\b", re.MULTILINE)
+_MARK = re.compile(rb"^from fovconn_env\.kernel\.jit import .*\b(?:entry|kernel|stage|view)\b", re.MULTILINE)
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a function that only compiled code calls. It makes no array."""
     return cast("Callable[P, R]", numba.njit(function, **_OPTIONS))
+
+
+def stage(function: Callable[P, R]) -> Callable[P, R]:
+    """As `kernel`, compiled into its caller: for a function that takes many arrays and is called in one place.
+
+    Handing the arrays over would take longer than the work on them.
+    """
+    return cast("Callable[P, R]", numba.njit(function, forceinline=True, **_OPTIONS))
+
+
+def view(function: Callable[P, R]) -> Callable[P, R]:
+    """As `kernel`, for a function that returns a part of its arguments: the caller's code holds the expression itself.
+
+    A compiled function can return neither a record nor, here, an array.
+    """
+    return cast("Callable[P, R]", numba.njit(function, inline="always", **_OPTIONS))
 
 
 def entry(function: Callable[P, R]) -> Callable[P, R]:

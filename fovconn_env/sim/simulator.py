@@ -191,7 +191,7 @@ class Simulator:
             self.generators[b] = rng
             self.seeds[b] = None if seeds is None or given is not None else seeds[b]
             self._write_start(b, start, key)
-        self._run_task(step.BEGIN, NO_ACTIONS, chosen)
+        self._run_worlds(NO_ACTIONS, chosen, self.warm_ticks)
         return self.observations
 
     def step(self, actions: np.ndarray, *, into: np.ndarray | None = None) -> np.ndarray:
@@ -211,7 +211,7 @@ class Simulator:
             raise ValueError(
                 f"action of uav_{i} of world {b} must be finite, got {actions[b, i].tolist()}: did the policy diverge?"
             )
-        self._run_task(step.ADVANCE, actions, NO_MASK, into)
+        self._run_worlds(actions, NO_MASK, 0, into)
         return self.observations
 
     # ------------------------------------------------------------------------------------------------ operator
@@ -349,18 +349,20 @@ class Simulator:
         self.state.episode["key"][b] = key
         self.state.episode["max_steps"][b] = self.max_cycles
 
-    def _run_task(self, task: int, actions: np.ndarray, mask: np.ndarray, into: np.ndarray | None = None) -> None:
-        """Run a task over all worlds; in large batches threads take slices of worlds in turn."""
+    def _run_worlds(
+        self, actions: np.ndarray, mask: np.ndarray, warm_ticks: int, into: np.ndarray | None = None
+    ) -> None:
+        """Call `step.run` for all worlds; in large batches threads take slices of worlds in turn."""
         n_slices = 1 if self.n_threads == 1 else min(4 * self.n_threads, self.n_worlds // WORLDS_PER_SLICE)
         edges = [self.n_worlds * k // n_slices for k in range(n_slices + 1)]
         slices = iter(list(itertools.pairwise(edges)))  # next() is atomic
 
         def work() -> None:
             own = scratch(self.scenario.n_agents)
-            for first, last in slices:
-                step.run(task, self.state, self.world, own, self.params, actions, mask, self.warm_ticks, first, last)
+            for worlds in slices:
+                step.run(self.state, self.world, own, self.params, actions, mask, warm_ticks, worlds)
                 if into is not None:
-                    into[first:last] = self.state.flat[first:last]
+                    into[slice(*worlds)] = self.state.flat[slice(*worlds)]
 
         if self.n_threads > 1 and (self._pool is None or self._pool[0] != os.getpid()):
             self._pool = os.getpid(), ThreadPoolExecutor(self.n_threads - 1)  # threads do not survive a fork

@@ -126,7 +126,7 @@ class StartSampler:
         clear(world, state, 0)
         world.piece[0, : len(pieces)], world.vertex[0, : len(vertices)] = pieces, vertices
         place(state.body[0], poses)
-        step.run(step.BEGIN, state, world, self.scratch, self.params, NO_ACTIONS, np.ones(1, bool), 1, 0, 1)
+        step.run(state, world, self.scratch, self.params, NO_ACTIONS, np.ones(1, bool), 1, (0, 1))
         return float(state.episode["lambda2"][0]), float(state.body["nearest"].min())
 
     def __getstate__(self) -> dict:

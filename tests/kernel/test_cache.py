@@ -9,7 +9,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[2] / "fovconn_env"
 LAYOUTS = ("clone", "editable", "wheel")
-COMPILED = re.compile(r"^@(kernel|entry)$", re.MULTILINE)
+COMPILED = re.compile(r"^@(kernel|entry|stage|view)$", re.MULTILINE)
 ENTRY = re.compile(r"^@entry$", re.MULTILINE)
 CODE = "from fovconn_env.kernel.jit import entry\n\n\n@entry\ndef double(x):\n    return 2.0 * x\n"
 

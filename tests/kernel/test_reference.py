@@ -18,6 +18,7 @@ from tests.helpers import KINDS, MOTION, bodies_of, draw_team, few, fiedler, fil
 pytestmark = pytest.mark.nojit
 
 TILTS = [0.0, 0.4]
+EPISODE = filled(records.EPISODE, key=1)
 NOTHING = np.zeros(1, records.PIECE), np.zeros((1, 2))
 
 
@@ -47,7 +48,7 @@ def gradients(b, d, o_i, o_j, p, out):
     for k in range(len(d)):
         bearing, oi, oj = b[k], o_i[k], o_j[k]
         out[k] = weights.weight_gradient(
-            bearing[0], bearing[1], bearing[2], d[k], oi[0], oi[1], oi[2], oj[0], oj[1], oj[2], p[0].weight, p[0]
+            (bearing[0], bearing[1], bearing[2]), d[k], (oi[0], oi[1], oi[2]), (oj[0], oj[1], oj[2]), p[0].weight, p[0]
         )
 
 
@@ -116,14 +117,14 @@ def look(bodies, pairs, piece, vertex, p):
 
 
 @entry
-def see(bodies, pairs, own, sights, p):
+def see(bodies, pairs, own, sights, episode, p):
     for i in range(len(bodies)):
-        odometry.measure_ego_motion(bodies[i], own[i], i, np.uint64(1), 0, p[0])
+        odometry.measure_ego_motion(bodies[i], own[i], i, episode[0], p[0])
         for j in range(len(bodies)):
             if j != i:
                 index = i * len(bodies) + j
                 camera.measure_relative_position(
-                    bodies[i], bodies[j], pairs[i, j], own[i], sights[i, j], index, np.uint64(1), 0, p[0]
+                    bodies[i], bodies[j], pairs[i, j], own[i], sights[i, j], index, episode[0], p[0]
                 )
 
 
@@ -208,7 +209,7 @@ def test_see_without_noise(tilt):
         bodies, pairs = bodies_of(team, scenario.camera), np.zeros((5, 5), records.PAIR)
         own, sights = np.zeros(5, records.EGO), np.zeros((5, 5), records.SIGHT)
         look(bodies, pairs, *NOTHING, scenario.params())
-        see(bodies, pairs, own, sights, scenario.params())
+        see(bodies, pairs, own, sights, EPISODE, scenario.params())
         for name in MOTION:
             assert (own[name] == bodies[name]).all()
         for i, j in zip(*np.nonzero(sights["seen"]), strict=True):
@@ -229,7 +230,7 @@ def test_see_with_a_wrong_attitude():
         bodies, pairs = bodies_of(team, scenario.camera), np.zeros((5, 5), records.PAIR)
         own, sights = np.zeros(5, records.EGO), np.zeros((5, 5), records.SIGHT)
         look(bodies, pairs, *NOTHING, scenario.params())
-        see(bodies, pairs, own, sights, noisy)
+        see(bodies, pairs, own, sights, EPISODE, noisy)
         assert (np.abs(own["roll"] - bodies["roll"]) > 1e-4).any()
         for i, j in zip(*np.nonzero(sights["seen"]), strict=True):
             in_body = ref.tilt(team[i].roll, team[i].pitch).T @ ref.relative(team[i], team[j])
@@ -354,9 +355,9 @@ def test_glide():
 
 
 @entry
-def scan(bodies, piece, vertex, rows, p):
+def scan(bodies, piece, vertex, rows, episode, p):
     for i in range(len(bodies)):
-        rangefinder.scan(bodies, i, piece, vertex, rows[i], np.uint64(1), 0, p[0])
+        rangefinder.scan(bodies, i, piece, vertex, rows[i], episode[0], p[0])
 
 
 @pytest.mark.parametrize("count", [8, 2])
@@ -375,7 +376,7 @@ def test_scan(count):
             bodies_of(team, scenario.camera),
             np.full((len(team), count), np.nan, layout.record(layout.RANGE, "f8")),
         )
-        scan(bodies, *world.flatten(), rows, scenario.params())
+        scan(bodies, *world.flatten(), rows, EPISODE, scenario.params())
         for i, me in enumerate(team):
             surface = [
                 ref.nearest_on_pillar(me.p, *pillar),

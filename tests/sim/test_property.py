@@ -3,12 +3,21 @@
 import ast
 import copy
 import inspect
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fovconn_env.kernel import step
-from fovconn_env.kernel.onboard import flooding, messages, observation, power_iteration, relative_yaw
+from fovconn_env.kernel.onboard import (
+    flooding,
+    liveness,
+    messages,
+    observation,
+    power_iteration,
+    relative_yaw,
+    robot,
+)
 from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios.settings import Airframe, Camera, Clock, Course, Noise, Radio
 from fovconn_env.sim.simulator import Simulator
@@ -376,53 +385,116 @@ def test_a_robot_in_touch_does_change_something():
 
 
 # ------------------------------------------------------------------------------- decentralised by the signatures
-ONBOARD = [
-    relative_yaw.dead_reckon,
-    relative_yaw.update_track,
-    relative_yaw.estimate_yaw,
-    power_iteration.init_estimate,
-    power_iteration.agreed_weight,
-    power_iteration.agree_weight,
-    power_iteration.power_round,
-    power_iteration.read_estimate,
-    flooding.write_own_row,
-    flooding.copy_table,
-    flooding.merge_table,
-    flooding.build_laplacian,
-    flooding.solve_table,
-    messages.write_broadcast,
-    messages.write_unicast,
-    observation.write_self,
-    observation.write_neighbors,
-]
+MODULES = (flooding, liveness, messages, observation, power_iteration, relative_yaw, robot)
 TRUTH = {"body", "bodies", "pair", "pairs", "flight", "flights", "world", "state", "piece", "vertex", "info", "infos"}
+TRUTH |= {"episode", "episodes", "key", "beliefs", "params"}
+FUNCTIONS = {"start", "sense", "receive", "send", "estimate_yaws", "observe"}  # a robot's
+SLICES = {"Robot": ("b", "i"), "Outbox": ("b", "slot", "i"), "Message": ("b", "slot", "j")}  # of robot i, or of j
 
 
 def plain(function):
     return getattr(function, "py_func", getattr(function, "__wrapped__", function))
 
 
-@pytest.mark.parametrize("function", ONBOARD, ids=lambda f: plain(f).__name__)
-def test_on_board_kernels_cannot_reach_the_truth(function):
-    names = set(inspect.signature(plain(function)).parameters)
-    assert not names & TRUTH
-    body = ast.parse(inspect.getsource(plain(function)))
+def on_board_functions():
+    names = {
+        f"{module.__name__.rpartition('.')[2]}.{node.name}": getattr(module, node.name)
+        for module in MODULES
+        for node in ast.parse(inspect.getsource(module)).body
+        if isinstance(node, ast.FunctionDef)
+    }
+    assert {f"robot.{name}" for name in FUNCTIONS} <= set(names)
+    return names
+
+
+def test_every_on_board_module_is_checked():
+    folder = Path(robot.__file__).parent
+    assert {Path(module.__file__) for module in MODULES} == set(folder.glob("*.py")) - {folder / "__init__.py"}
+
+
+@pytest.mark.parametrize("name", on_board_functions())
+def test_on_board_kernels_cannot_reach_the_truth(name):
+    function = plain(on_board_functions()[name])
+    assert not set(inspect.signature(function).parameters) & TRUTH
+    body = ast.parse(inspect.getsource(function))
     used = {node.id for node in ast.walk(body) if isinstance(node, ast.Name)}
+    used |= {node.attr for node in ast.walk(body) if isinstance(node, ast.Attribute)}
     assert not used & TRUTH
 
 
-def test_on_board_kernels_get_one_robots_slices():
-    """In step.py, each call of an on-board kernel hands over records indexed by the robot, never the arrays of all."""
-    names = {plain(function).__name__ for function in ONBOARD}
-    arrays = {"bodies", "pairs", "ego", "sights", "tracks", "beliefs", "inboxes", "broadcast", "unicast"}
-    arrays |= {"own_rows", "neighbor_rows", "row", "col", "tables", "air", "modes"}
+def test_what_a_robot_is_handed_holds_no_truth():
+    for kind in (messages.Message, messages.Outbox, messages.Round, robot.Robot):
+        assert not set(kind._fields) & TRUTH
+    assert set(inspect.signature(plain(robot.start)).parameters) == {"me", "x", "p"}  # the start draw, not the key
+
+
+def calls(tree, module):
+    """Calls of functions of a module, or of one name, in a tree."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call):
+            f = node.func
+            if isinstance(f, ast.Attribute) and isinstance(f.value, ast.Name) and f.value.id == module:
+                yield f.attr, node
+            elif isinstance(f, ast.Name) and f.id == module:
+                yield f.id, node
+
+
+def test_a_robot_is_handed_its_own_slices():
+    """In step.py, what a robot gets is cut out of the state for it alone: every array is indexed by the robot."""
+    tree = ast.parse(inspect.getsource(step))
+    for kind, index in SLICES.items():
+        ((_, made),) = calls(tree, kind)  # in one place
+        arrays = [argument for argument in made.args if not (isinstance(argument, ast.Name) and argument.id == "i")]
+        assert len(made.args) == len(getattr(robot if kind == "Robot" else messages, kind)._fields)
+        assert not made.keywords
+        for argument in arrays:
+            at = [ast.unparse(part) for part in argument.slice.elts]
+            own = [*index, "i"] if (kind, argument.value.attr) == ("Message", "unicast") else list(index)
+            assert at == own, ast.unparse(argument)
+
+
+def test_step_hands_robots_nothing_else():
+    """Each call of a robot's function gets a robot's slices and plain numbers, never the arrays of all."""
+    tree = ast.parse(inspect.getsource(step))
+    plain_numbers = {"x", "j", "p", "turn", "tick", "leads", "stick", "work", "bounds"}
+    slices = {"robot_of(state, b, i)", "outbox_of(state, b, slot, i)", "contacts_of(scratch, i)", "message"}
     called = set()
-    for node in ast.walk(ast.parse(inspect.getsource(step))):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in names:
-            called.add(node.func.id)
-            bare = {a.id for a in node.args if isinstance(a, ast.Name)}
-            assert not bare & arrays, f"{node.func.id} in line {node.lineno} of step.py"
-    assert called == names - {"agreed_weight"}  # called by agree
+    for name, call in calls(tree, "robot"):
+        called.add(name)
+        assert {ast.unparse(argument) for argument in call.args} <= plain_numbers | slices, ast.unparse(call)
+        assert not call.keywords
+    assert called == FUNCTIONS
+    named = {"message": "message_of(state, b, slot, j, i)"}
+    named |= {"work": "(scratch.laplacian, scratch.spectrum)", "bounds": "(world.low, world.high)"}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assign):
+            target, value = node.targets[0], node.value
+            both = isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple)
+            for name, part in zip(target.elts, value.elts, strict=True) if both else [(target, value)]:
+                for known in {n.id for n in ast.walk(name) if isinstance(n, ast.Name)} & set(named):
+                    assert ast.unparse(part) == named[known]
+
+
+def test_step_calls_no_other_on_board_function():
+    """But for the oracle of lambda2, a switch."""
+    tree = ast.parse(inspect.getsource(step))
+    imported = {
+        alias.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("fovconn_env.kernel.onboard")
+        for alias in node.names
+    }
+    assert imported == {
+        "Message",
+        "Outbox",
+        "Robot",
+        "Round",
+        "power_iteration",
+        "relative_yaw",
+        "robot",
+        "set_estimate",
+    }
+    assert not list(calls(tree, "power_iteration")) + list(calls(tree, "relative_yaw"))  # constants
 
 
 def test_every_start_of_a_pair_is_symmetric():

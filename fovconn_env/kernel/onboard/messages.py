@@ -6,7 +6,39 @@ rest.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
+
 from fovconn_env.kernel.jit import kernel
+
+
+class Round(NamedTuple):
+    """A message round, as all robots count it."""
+
+    tick: int  # since the reset, from 1
+    first: bool  # of its tick: beats and tables go out with its messages
+    news: bool  # what arrives in it is the first that a sender wrote in a tick
+    writes: bool  # unicast parts are written; else those of the last round still hold
+    estimates: bool  # a round of the power iteration runs
+
+
+class Outbox(NamedTuple):
+    """What robot i sends in a round. Until it writes again, it holds what was sent `delay` rounds ago."""
+
+    broadcast: np.record  # BROADCAST_RECORD
+    unicast: np.ndarray  # (N,) UNICAST_RECORD: [receiver]
+    beats: np.ndarray  # (N,) int64, see liveness.py
+    table: np.ndarray  # (N, N + 1), see flooding.py; with another estimator its sizes are 0
+
+
+class Message(NamedTuple):
+    """What robot j sent to i; valid if `unicast.arrives`."""
+
+    broadcast: np.record  # BROADCAST_RECORD
+    unicast: np.record  # UNICAST_RECORD
+    beats: np.ndarray  # (N,)
+    table: np.ndarray  # (N, N + 1)
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""What a robot's policy gets: its own row and one row per neighbour, from what it has on board."""
+"""The observation: a robot's own row and one row per neighbour, from what it has on board."""
 
 from __future__ import annotations
 
@@ -9,23 +9,21 @@ from fovconn_env.kernel.onboard.power_iteration import FLOODING
 
 
 @kernel
-def write_self(row, ego, belief, share, is_leader, stick_x, stick_y, stick_z):
-    """Fill robot i's SELF row; the stick (m/s) reaches the leader alone."""
+def write_self(row, ego, belief, share, leads, stick):
+    """Fill robot i's SELF row. share: of the team that is alive; stick (x, y, z), m/s, is 0 but for the leader."""
     row.vx, row.vy, row.vz, row.yaw_rate = ego.vx, ego.vy, ego.vz, ego.yaw_rate
     row.roll, row.pitch = ego.roll, ego.pitch
     row.lambda2_hat, row.v2_hat = belief.lambda2_hat, belief.v2_hat
     row.team_share = share
-    row.is_leader = 1.0 if is_leader else 0.0
-    row.stick_x = row.stick_y = row.stick_z = 0.0
-    if is_leader:
-        row.stick_x, row.stick_y, row.stick_z = stick_x, stick_y, stick_z
+    row.is_leader = 1.0 if leads else 0.0
+    row.stick_x, row.stick_y, row.stick_z = stick
 
 
 @kernel
-def write_neighbors(rows, tracks, heard, belief, mode, contacts, p):
+def write_neighbors(rows, tracks, inboxes, belief, mode, contacts, p):
     """Fill robot i's neighbour rows, (M,) NEIGHBOR, nearest first; returns how many neighbours found no row.
 
-    mode: its eigenvector (N,), where it has one.
+    mode: the eigenvector (N,) of its table, with lambda2 = "flooding".
     """
     root = math.sqrt(tracks.shape[0] * max(belief.y2, 1e-6))
     present = 0
@@ -46,40 +44,39 @@ def write_neighbors(rows, tracks, heard, belief, mode, contacts, p):
                 _clear_row(rows[k])
             continue
         last, last_distance = nearest, least
-        _write_neighbor(rows[k], tracks[nearest], heard[nearest], root, p)
+        _write_neighbor(rows[k], tracks[nearest], inboxes[nearest], root, p)
         if p.lambda2 == FLOODING:
-            rows[k].v2_hat = mode[nearest]  # what the neighbour says is of an eigenvector with a sign of its own
+            rows[k].v2_hat = mode[nearest]  # the entry that the neighbour sends may have the other sign
     return max(present - rows.shape[0], 0)
 
 
 @kernel
 def clip(flat, low, high):
-    """Keep flat observations (N, D) within their bounds (D,)."""
-    for i in range(flat.shape[0]):
-        for k in range(flat.shape[1]):
-            flat[i, k] = min(max(flat[i, k], low[k]), high[k])
+    """Keep a flat observation (D,) within its bounds (D,)."""
+    for k in range(flat.shape[0]):
+        flat[k] = min(max(flat[k], low[k]), high[k])
 
 
 @kernel
-def _write_neighbor(row, track, heard, root, p):
+def _write_neighbor(row, track, inbox, root, p):
     row.present = 1.0
-    row.f_ij, row.f_ji = track.f, heard.f
+    row.f_ij, row.f_ji = track.f, inbox.f
     c, s = track.cos_used, track.sin_used
     distance = max(track.distance, 1e-9)
     row.bearing_x = row.bearing_y = row.bearing_z = 0.0
     if track.held:
         row.bearing_x, row.bearing_y, row.bearing_z = track.x / distance, track.y / distance, track.z / distance
     elif track.valid:  # case 2 of Sec. III-C: b_ij = -iR_j b_ji
-        row.bearing_x = -(c * heard.px - s * heard.py) / distance
-        row.bearing_y = -(s * heard.px + c * heard.py) / distance
-        row.bearing_z = -heard.pz / distance
+        row.bearing_x = -(c * inbox.px - s * inbox.py) / distance
+        row.bearing_y = -(s * inbox.px + c * inbox.py) / distance
+        row.bearing_z = -inbox.pz / distance
     row.distance = distance
     row.cos_yaw, row.sin_yaw, row.yaw_valid = c, s, 1.0 if track.valid else 0.0
-    row.vx, row.vy, row.vz, row.yaw_rate = heard.vx, heard.vy, heard.vz, heard.yaw_rate
-    row.roll, row.pitch = heard.roll, heard.pitch
-    row.v2_hat = heard.x / root  # on my own scale, so that differences stay true
-    row.lambda2_hat = heard.y3 / max(heard.y2, 1e-6)
-    row.weight, row.age = track.weight, heard.age + p.travel_time
+    row.vx, row.vy, row.vz, row.yaw_rate = inbox.vx, inbox.vy, inbox.vz, inbox.yaw_rate
+    row.roll, row.pitch = inbox.roll, inbox.pitch
+    row.v2_hat = inbox.x / root  # on i's own scale, so that differences stay true
+    row.lambda2_hat = inbox.y3 / max(inbox.y2, 1e-6)
+    row.weight, row.age = track.weight, inbox.age + p.travel_time
 
 
 @kernel

@@ -17,9 +17,9 @@ SMALL = 16  # robots up to which it is faster to visit all pairs
 
 @kernel
 def update_pairs(bodies, pairs, near, count, piece, vertex, p):
-    """Bring the truth about the first `count` pairs of `near` up to date: distance, cosine a_ij, blocked, seen, linked.
+    """Update the truth of the first `count` pairs of `near`: distance (m), cosine a_ij, blocked, seen, linked.
 
-    World frame in. Returns whether a pair became idle or active, so that the list of `build_contacts` is out of date.
+    Returns whether a pair became idle or active, so that the list of `build_contacts` is out of date.
     """
     changed = False
     for i in range(bodies.shape[0]):
@@ -45,9 +45,9 @@ def update_pairs(bodies, pairs, near, count, piece, vertex, p):
         ij.seen = in_range and a_ij > p.a_min and not blocked  # f*_ij > 0 (10)
         ji.seen = in_range and a_ji > p.a_min and not blocked
         ij.linked = ji.linked = linked
-        asleep = 0 if linked else min(ij.idle_ticks + 1, p.rest_ticks)
-        changed = changed or (asleep == p.rest_ticks) != (ij.idle_ticks == p.rest_ticks)
-        ij.idle_ticks = ji.idle_ticks = asleep
+        idle_ticks = 0 if linked else min(ij.idle_ticks + 1, p.rest_ticks)
+        changed = changed or (idle_ticks == p.rest_ticks) != (ij.idle_ticks == p.rest_ticks)
+        ij.idle_ticks = ji.idle_ticks = idle_ticks
     for i in range(bodies.shape[0]):
         if bodies[i].nearest >= p.d_max:
             bodies[i].nearest = least_separation(bodies, i)  # the nearest may be one that was not listed
@@ -110,7 +110,7 @@ def least_separation(bodies, i):
 
 @kernel
 def build_contacts(pairs, row, col, indptr, p):
-    """CSR list of the pairs linked within the last `rest_ticks`: what robots have on board can change for these alone.
+    """CSR list of the pairs linked within the last `rest_ticks`; nothing on board changes for other pairs.
 
     Robot i's contacts, in ascending order, are col[indptr[i] : indptr[i + 1]]; row repeats i as often.
     """
@@ -124,19 +124,23 @@ def build_contacts(pairs, row, col, indptr, p):
 
 
 @kernel
-def measure_relative_position(me, it, pair, ego, sight, index, key, tick, p):
-    """What a robot's camera reports of another: p_ij (2) in its yaw frame, de-tilted with its own IMU; or nothing."""
+def measure_relative_position(me, other, pair, ego, sight, index, episode, p):
+    """Set what a camera reports of another robot: p_ij (2), m, yaw frame, de-tilted with the own IMU; or nothing.
+
+    index: i N + j, for the noise.
+    """
     sight.seen = pair.seen
     if sight.seen and p.miss > 0.0:
-        sight.seen = random.uniform(random.draw(key, tick, index, random.MISS)) >= p.miss
+        sight.seen = random.uniform(random.draw(episode.key, episode.n_rounds, index, random.MISS)) >= p.miss
     if not sight.seen:
         return
-    dx, dy, z = it.x - me.x, it.y - me.y, it.z - me.z
+    dx, dy, z = other.x - me.x, other.y - me.y, other.z - me.z
     x, y = me.cos_yaw * dx + me.sin_yaw * dy, me.cos_yaw * dy - me.sin_yaw * dx  # (2)
     if p.position_noise > 0.0 or p.position_bias > 0.0:
+        key, tick = episode.key, episode.n_rounds
         a, b, c = random.sensor_error(key, tick, index, random.POSITION, p.position_noise, p.position_bias)
         x, y, z = x + a, y + b, z + c
     if ego.roll != me.roll or ego.pitch != me.pitch:
         x, y, z = untilt(x, y, z, me.roll, me.pitch)  # to the camera, which the body carries
-        x, y, z = tilt(x, y, z, ego.roll, ego.pitch)  # and back with the attitude it believes
+        x, y, z = tilt(x, y, z, ego.roll, ego.pitch)  # and back with the attitude that its IMU measures
     sight.x, sight.y, sight.z = x, y, z

@@ -1,4 +1,4 @@
-"""Outcome: true weights and lambda2, termination, rewards and infos. Nothing here reaches a robot."""
+"""Outcome: true weights and lambda2, termination, rewards and infos. No robot reads any of it."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ def update_true_weights(pairs, infos, p):
     for i in range(n):
         for j in range(i + 1, n):
             ij, ji = pairs[i, j], pairs[j, i]
-            before, watched_by_i, watched_by_j = ij.weight, ij.f_star > 0.0, ji.f_star > 0.0
+            before, seen_by_i, seen_by_j = ij.weight, ij.f_star > 0.0, ji.f_star > 0.0
             ij.f_star = sight_weight(ij.cosine, p) if ij.seen else 0.0
             ji.f_star = sight_weight(ji.cosine, p) if ji.seen else 0.0
-            view = ij.f_star + ji.f_star - ij.f_star * ji.f_star  # (11): the judge's weight, whatever runs on board
+            view = ij.f_star + ji.f_star - ij.f_star * ji.f_star  # (11), whatever weight the robots use
             ij.weight = ji.weight = range_weight(ij.distance, p) * view if view > 0.0 else 0.0  # (6)
             if ij.weight > 0.0:
                 n_edges += 1
             elif before > 0.0:
-                infos[i].lost_link_cause = lost_link(ij, OWN_VIEW if watched_by_i else ITS_VIEW, p)
-                infos[j].lost_link_cause = lost_link(ij, OWN_VIEW if watched_by_j else ITS_VIEW, p)
+                infos[i].lost_link_cause = lost_link(ij, OWN_VIEW if seen_by_i else ITS_VIEW, p)
+                infos[j].lost_link_cause = lost_link(ij, OWN_VIEW if seen_by_j else ITS_VIEW, p)
     return n_edges
 
 
@@ -98,10 +98,14 @@ def check_termination(episode, arrived, p):
 
 
 @kernel
-def write_rewards(bodies, infos, rewards, actions, episode, stick_x, stick_y, stick_z, p):
-    """Named reward terms of every robot and their sum. Running terms are rates times the step, stick: last step's."""
+def write_rewards(bodies, infos, rewards, actions, episode, stick, p):
+    """Named reward terms of every robot and their sum; running terms are rates times the step.
+
+    stick: (x, y, z), m/s, leader's yaw frame, of this step.
+    """
     lead, dt = bodies[episode.leader], p.step_time
     margin = (episode.lambda2 - p.lambda2_min) / (p.lambda2_max - p.lambda2_min)
+    stick_x, stick_y, stick_z = stick
     along = lead.vx * stick_x + lead.vy * stick_y + lead.vz * stick_z
     pushed = stick_x * stick_x + stick_y * stick_y + stick_z * stick_z
     episode.pushed += dt * pushed

@@ -7,8 +7,8 @@ from fovconn_env.kernel.maths import random
 
 
 @kernel
-def draw_losses(unicast, pair, index, key, number, p):
-    """Decide whether a message goes on the air (linked pairs) and whether it gets through."""
+def draw_losses(unicast, pair, index, episode, p):
+    """Decide whether a message is sent (the pair is linked) and whether it arrives. index: i N + j, for the noise."""
     unicast.sent = unicast.arrives = pair.linked
     if unicast.sent and p.loss > 0.0:
-        unicast.arrives = random.uniform(random.draw(key, number, index, random.LOSS)) >= p.loss
+        unicast.arrives = random.uniform(random.draw(episode.key, episode.n_rounds, index, random.LOSS)) >= p.loss

@@ -12,7 +12,7 @@ from fovconn_env.kernel.maths.geometry import nearest_on_piece
 
 
 @kernel
-def scan(bodies, i, piece, vertex, rows, key, tick, p):
+def scan(bodies, i, piece, vertex, rows, episode, p):
     """Fill robot i's range rows, (K,) RANGE in its yaw frame: one point per obstacle and per robot, nearest first."""
     for k in range(rows.shape[0]):
         if rows[k].present == 0.0:
@@ -26,7 +26,7 @@ def scan(bodies, i, piece, vertex, rows, key, tick, p):
         distance = math.sqrt(dx * dx + dy * dy + dz * dz)
         surface = max(distance - 0.5 * p.collision_robot, 0.0)
         scale = surface / max(distance, 1e-9)
-        _insert_row(rows, me, dx * scale, dy * scale, dz * scale, surface, i, j, key, tick, p)
+        _add_point(rows, me, (dx * scale, dy * scale, dz * scale, surface), (i << 12) + j, episode, p)
     k, best = 0, math.inf
     bx = by = bz = 0.0
     while k < piece.shape[0] and piece[k].count > 0:
@@ -35,21 +35,28 @@ def scan(bodies, i, piece, vertex, rows, key, tick, p):
             best, bx, by, bz = distance, x - me.x, y - me.y, z - me.z
         k += 1
         if k == piece.shape[0] or piece[k].count == 0 or piece[k].source != piece[k - 1].source:
-            _insert_row(rows, me, bx, by, bz, max(best, 0.0), i, n + piece[k - 1].source, key, tick, p)
+            _add_point(rows, me, (bx, by, bz, max(best, 0.0)), (i << 12) + n + piece[k - 1].source, episode, p)
             best = math.inf
 
 
 @kernel
-def _insert_row(rows, me, dx, dy, dz, distance, i, thing, key, tick, p):
-    """Insert a point (world axes, from the robot) where its distance belongs; the farthest falls off the end."""
+def _add_point(rows, me, point, index, episode, p):
+    """Add a point with noise and bias where set; point: (dx, dy, dz, distance), m, world axes, from the robot."""
+    dx, dy, dz, distance = point
     if distance >= p.range_max:
         return
     if p.range_noise > 0.0 or p.range_bias > 0.0:
-        index = (i << 12) + thing
-        a, _ = random.normal_pair(random.draw(key, tick, index, random.RANGE))
-        b, _ = random.normal_pair(random.draw(key, 0, index, random.RANGE + random.BIAS))
+        a, _ = random.normal_pair(random.draw(episode.key, episode.n_rounds, index, random.RANGE))
+        b, _ = random.normal_pair(random.draw(episode.key, 0, index, random.RANGE + random.BIAS))
         scale = max(distance + p.range_noise * a + p.range_bias * b, 0.0) / max(distance, 1e-9)
         dx, dy, dz, distance = dx * scale, dy * scale, dz * scale, distance * scale
+    x, y = me.cos_yaw * dx + me.sin_yaw * dy, me.cos_yaw * dy - me.sin_yaw * dx
+    _insert_row(rows, x, y, dz, distance)
+
+
+@kernel
+def _insert_row(rows, x, y, z, distance):
+    """Insert a point of the robot's yaw frame where its distance belongs; the farthest falls off the end."""
     k = rows.shape[0] - 1
     if rows[k].present > 0.0 and _length(rows[k]) <= distance:
         return
@@ -57,10 +64,7 @@ def _insert_row(rows, me, dx, dy, dz, distance, i, thing, key, tick, p):
         above = rows[k - 1]
         rows[k].present, rows[k].x, rows[k].y, rows[k].z = above.present, above.x, above.y, above.z
         k -= 1
-    rows[k].present = 1.0
-    rows[k].x = me.cos_yaw * dx + me.sin_yaw * dy
-    rows[k].y = me.cos_yaw * dy - me.sin_yaw * dx
-    rows[k].z = dz
+    rows[k].present, rows[k].x, rows[k].y, rows[k].z = 1.0, x, y, z
 
 
 @kernel

@@ -1,0 +1,122 @@
+"""What a robot consists of: six functions, each on its own slices of the arrays.
+
+    start                      once an episode: nothing is heard or seen yet
+    sense                      every tick: tracks <- odometry, IMU, camera
+    receive, send              every message round: inboxes, beats, table <- a message; messages <- what is on board
+    estimate_yaws              every tick, after its rounds: relative yaws <- sight, odometry, inboxes
+    observe                    every step: observation <- what is on board
+
+`kernel.step` calls them for each robot of a world; a robot that is a process of its own calls the same for itself. No
+function takes a pose, the truth about a pair, the episode or its noise key. Before `sense` the first six fields of
+`ego` and the `sights` hold what the sensors measured, before `observe` the range rows do; `receive` is handed one
+message at a time. Times are counts that all robots share: `tick` from 1, since the reset.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fovconn_env.kernel.jit import stage
+from fovconn_env.kernel.onboard import relative_yaw
+from fovconn_env.kernel.onboard.flooding import build_laplacian, copy_table, merge_table, solve_table, write_own_row
+from fovconn_env.kernel.onboard.liveness import live_share, merge_beats, send_beats
+from fovconn_env.kernel.onboard.messages import receive_message, write_broadcast, write_unicast
+from fovconn_env.kernel.onboard.observation import clip, write_neighbors, write_self
+from fovconn_env.kernel.onboard.power_iteration import (
+    FLOODING,
+    POWER,
+    agree_weight,
+    init_estimate,
+    power_round,
+    read_estimate,
+)
+
+
+class Robot(NamedTuple):
+    """What robot i has on board. N robots; index j is another robot's number."""
+
+    index: int  # i
+    ego: np.record  # EGO
+    sights: np.ndarray  # (N,) SIGHT
+    inboxes: np.ndarray  # (N,) INBOX
+    tracks: np.ndarray  # (N,) TRACK
+    belief: np.record  # BELIEF
+    beats: np.ndarray  # (N,) int64, see liveness.py
+    table: np.ndarray  # (N, N + 1), see flooding.py; with another estimator its sizes are 0
+    mode: np.ndarray  # (N,) eigenvector v2 of the table
+    flat: np.ndarray  # (D,) float32, the observation; the two below are views into it
+    own_row: np.record  # SELF
+    neighbor_rows: np.ndarray  # (M,) NEIGHBOR
+
+
+@stage
+def start(me, x, p):
+    """Empty what is on board; x in (-1, 1): the robot's start draw, its first entry of the eigenvector."""
+    if p.lambda2 == POWER:
+        init_estimate(me.belief, x)
+    for j in range(me.tracks.shape[0]):
+        me.inboxes[j].age = p.memory
+        me.tracks[j].cos_yaw = me.tracks[j].cos_used = 1.0
+
+
+@stage
+def sense(me, contacts, p):
+    """Take in a tick's sensors: own motion, and the sight of each contact (indices j)."""
+    relative_yaw.dead_reckon(me.ego, p)
+    for j in contacts:
+        relative_yaw.update_track(me.tracks[j], me.sights[j], me.ego, p)
+
+
+@stage
+def receive(me, outbox, j, message, turn, p):
+    """Take in the message of j that arrives in this round, or that none does; `outbox` holds what met it."""
+    receive_message(message.broadcast, message.unicast, me.inboxes[j], turn.news, p)
+    agree_weight(me.tracks[j], outbox.unicast[j], me.inboxes[j], p)
+    if turn.news and message.unicast.arrives:
+        merge_beats(me.beats, message.beats)
+        if p.lambda2 == FLOODING:
+            merge_table(me.table, message.table)
+
+
+@stage
+def send(me, outbox, contacts, turn, p):
+    """Run a round of the power iteration on what was received, then write the messages of this round."""
+    if turn.estimates and p.lambda2 == POWER:
+        power_round(me.belief, me.tracks, outbox.broadcast, me.inboxes, contacts, p)
+    if turn.first:
+        send_beats(outbox.beats, me.beats, me.index, turn.tick)
+        if p.lambda2 == FLOODING:
+            write_own_row(me.table, me.tracks, me.index, turn.tick)
+            copy_table(outbox.table, me.table)
+    write_broadcast(outbox.broadcast, me.ego, me.belief)
+    if turn.writes:
+        for j in contacts:
+            if outbox.unicast[j].sent:  # else the radio does not reach j
+                write_unicast(outbox.unicast[j], me.tracks[j])
+
+
+@stage
+def estimate_yaws(me, contacts, p):
+    """Relative yaw of each contact, after a tick's messages."""
+    for j in contacts:
+        relative_yaw.estimate_yaw(me.tracks[j], me.sights[j], me.ego, me.inboxes[j], p)
+
+
+@stage
+def observe(me, contacts, tick, leads, stick, work, bounds, p):
+    """Write the observation after `tick`; returns how many neighbours found no row.
+
+    leads: the operator's stick (x, y, z; m/s) reaches this robot; it is 0 for others. work: (laplacian, spectrum) of
+    Scratch. bounds: (low, high) of `flat`, (D,) each.
+    """
+    if p.lambda2 == POWER:
+        read_estimate(me.belief, me.tracks.shape[0])
+    elif p.lambda2 == FLOODING:
+        build_laplacian(me.table, work[0], tick, p)
+        solve_table(me.belief, me.mode, work[0], work[1], me.index)
+    write_self(me.own_row, me.ego, me.belief, live_share(me.beats, tick, p), leads, stick)
+    dropped = write_neighbors(me.neighbor_rows, me.tracks, me.inboxes, me.belief, me.mode, contacts, p)
+    clip(me.flat, bounds[0], bounds[1])
+    return dropped
