@@ -50,7 +50,7 @@ def command(
 ) -> None:
     """Draw a recorded flight, a map, or figures of many flights."""
     asked = {"FILE": recording is not None, "--ablations": ablations, "--map": map_file is not None}
-    given = " and ".join(name for name, told in asked.items() if told) or "none"
+    given = " and ".join(name for name, used in asked.items() if used) or "none"
     if sum(asked.values()) != 1:
         raise ValueError(f"figures must be told which, got {given}: name a recording, or add --ablations or --map")
     if scenario_name is not None and map_file is None:

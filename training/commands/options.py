@@ -58,9 +58,9 @@ def check_writable(files: dict[str, Path | None]) -> None:
                 f"{option} must name a file in an existing folder, got {str(file)!r}: make the folder first"
             )
     for file in given.values():  # fails now rather than after the flights
-        there = file.exists()
+        existed = file.exists()
         file.touch()
-        if not there:
+        if not existed:
             file.unlink()
 
 
@@ -73,10 +73,10 @@ def check_recording(file: Path | None) -> None:
 
 def read_recording(file: Path) -> Recording:
     """A recording with at least one step; raises as `load`."""
-    found = load(file)
-    if not len(found.actions):
+    recording = load(file)
+    if not len(recording.actions):
         raise ValueError(f"{file} holds no step: nothing was flown")
-    return found
+    return recording
 
 
 def read_scenarios(names: list[str], changes: list[str] | None) -> list[Scenario]:

@@ -93,12 +93,12 @@ class Dagger(Algorithm):
             self.redraw(rng, ended, beta)
 
     def labels(self) -> np.ndarray:
-        """What the law would do on every row, in the network's units."""
+        """The law's actions for every row, in the network's units."""
         parts = [law.decide(self.rows.flat(k)) / self.rows.gains[k] for k, law in enumerate(self.laws)]
         return np.concatenate(parts)
 
     def redraw(self, rng: np.random.Generator, ended: np.ndarray, beta: float) -> None:
-        """Draw who flies the worlds that began anew; all robots of a world have the same pilot."""
+        """Draw law or network for the worlds with a new episode; all robots of a world have the same pilot."""
         for rows, env in zip(self.rows.slices, self.rows.parts, strict=True):
             n = env.scenario.n_agents
             new = ended[rows].reshape(-1, n)[:, 0]
@@ -107,7 +107,7 @@ class Dagger(Algorithm):
                 self.by_law[rows].reshape(-1, n)[new] = drawn[:, None]
 
     def store(self, rng: np.random.Generator, observations: np.ndarray, labels: np.ndarray) -> None:
-        """Into the buffer, at its end or in random places."""
+        """Store rows in the buffer: at its end, or at random places when it is full."""
         count, free = len(labels), self.s.capacity - self.filled
         if count <= free:
             places = np.arange(self.filled, self.filled + count)
@@ -127,7 +127,7 @@ class Dagger(Algorithm):
         return super().pack() | arrays
 
     def unpack(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Go on where `pack` was called."""
+        """Restore the state of `pack`."""
         super().unpack(arrays)
         self.rows.unpack(part(arrays, "rows"))
         self.filled, self.by_law = len(arrays["seen"]), arrays["by_law"]

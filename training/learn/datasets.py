@@ -41,7 +41,7 @@ KINDS |= {"length": "i8", "seed": "i8", "agent": "i8", "success": "?", "never_di
 
 
 class Episodes(NamedTuple):
-    """What a file holds; see the module."""
+    """Contents of a file; see the module."""
 
     arrays: dict[str, np.ndarray]
     header: dict[str, Any]  # policy, scenario, columns, action_units, ...
@@ -63,10 +63,10 @@ class Episodes(NamedTuple):
 
 
 class Transitions(Observer):
-    """Keeps what all robots of all worlds saw, did and got, step by step."""
+    """An observer that keeps observations, actions and rewards of all robots of all worlds."""
 
     def begin(self, simulator: Simulator) -> None:
-        """Start anew."""
+        """Clear the kept rows."""
         self.simulator = simulator
         self._steps: dict[str, list[np.ndarray]] = {
             name: [] for name in ("observations", "actions", "rewards", "going")
@@ -74,19 +74,19 @@ class Transitions(Observer):
         self._split = np.zeros(simulator.n_worlds, bool)
 
     def before_step(self, actions: np.ndarray) -> None:
-        """What the robots saw when they decided, and what they did."""
+        """Keep the observations of a step and its actions."""
         simulator, steps = self.simulator, self._steps
         steps["observations"].append(simulator.observations.copy())
         steps["actions"].append(np.clip(actions, -1.0, 1.0))
         steps["going"].append(~simulator.over)
 
     def update(self) -> None:
-        """What they got."""
+        """Keep the rewards of a step."""
         self._steps["rewards"].append(self.simulator.rewards.copy())
         self._split |= self._steps["going"][-1] & (self.simulator.infos["connected"][:, 0] == 0.0)
 
     def episodes(self) -> dict[str, np.ndarray]:
-        """All so far as episodes of single robots, world by world: the arrays of `Episodes`."""
+        """The kept rows as episodes of single robots, world by world: the arrays of `Episodes`."""
         simulator, steps = self.simulator, self._steps
         observations = np.stack([*steps["observations"], simulator.observations])
         actions, rewards, going = (np.stack(steps[name]) for name in ("actions", "rewards", "going"))
@@ -114,7 +114,7 @@ def record(
     *,
     progress: Callable[[float], None] = lambda done: None,
 ) -> Episodes:
-    """Fly a policy once from every seed and keep all that every robot saw, did and got; raises as `rollout`."""
+    """Episodes of a policy that flies once from every seed; raises as `rollout`."""
     kind = find_policy(policy) if isinstance(policy, str) else policy
     transitions = Transitions()
     for simulator in rollout(kind, scenario, seeds, observers=[transitions]):
@@ -161,15 +161,15 @@ def save(episodes: Episodes, file: str | Path) -> Path:
 
 
 def load(file: str | Path) -> Episodes:
-    """Read and check a file; `ValueError` names what is wrong with it and where."""
+    """Read and check a file. Raises `ValueError` that names the file, the field and the rule."""
     file = Path(file)
     rule(file.is_file(), "data set", "a file that exists", str(file), KIND.source)
     header, arrays = read_archive(file, KIND)
     for table, names in columns().items():
-        there = header.get("columns", {}).get(table, [])
-        odd = sorted(set(there) ^ set(names)) or "another order"
+        stored = header.get("columns", {}).get(table, [])
+        odd = sorted(set(stored) ^ set(names)) or "another order"
         hint = f"recorded with another observation layout, which differs in {odd}; record it anew"
-        rule(there == names, f"columns {table!r} of {file}", f"the {len(names)} of this version", len(there), hint)
+        rule(stored == names, f"columns {table!r} of {file}", f"the {len(names)} of this version", len(stored), hint)
     _check(file, arrays)
     return Episodes(arrays, header)
 

@@ -1,4 +1,4 @@
-"""What the trainers share: the loop with scores and checkpoints, the files, exact resumption."""
+"""The common part of the trainers: the loop with scores and checkpoints, the files, exact resumption."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ KIND = Kind("fovconn_checkpoint", "checkpoint", "a training writes them", 2, old
 
 # -------------------------------------------------------------------------------------------------------- algorithms
 class Algorithm(ABC):
-    """A trainer: `iterate` learns a bit; `pack` and `unpack` make a resumed run equal to one without a break.
+    """A trainer: `iterate` is one iteration; `pack` and `unpack` make a resumed run equal to an uninterrupted one.
 
-    What an iteration draws comes from (seed, iteration) alone, see `generator`, so no generator has to be kept.
+    Random numbers of an iteration depend on (seed, iteration) alone, see `generator`, so no generator is stored.
     """
 
     name: ClassVar[str]
@@ -64,7 +64,7 @@ class Algorithm(ABC):
         return self.model.policy
 
     def generator(self) -> np.random.Generator:
-        """The iteration's own generator; seeds torch and numpy as well."""
+        """The generator of this iteration; torch and numpy get seeds from it as well."""
         rng = np.random.default_rng([self.seed, self.iteration])
         torch.manual_seed(int(rng.integers(2**62)))
         np.random.seed(int(rng.integers(2**32)))  # noqa: NPY002 - SB3's buffer draws from it
@@ -72,14 +72,14 @@ class Algorithm(ABC):
 
     @abstractmethod
     def iterate(self, share: float) -> dict[str, float]:
-        """Learn for one iteration, `share` of the training being done; curves to log."""
+        """Run one iteration; return numbers to log. share: finished part of the training."""
 
     def recipe(self) -> dict[str, Any]:
-        """What defines the training, beside its length."""
-        told = {"algorithm": self.name, "seed": self.seed, "base": self.base}
-        told |= {"scenarios": [scenario_to_json(s) for s in self.scenarios]}
-        told |= {"network": dataclasses.asdict(self.network), "settings": dataclasses.asdict(self.settings)}
-        return json.loads(json.dumps(told))
+        """All settings of the training except its length, in JSON types."""
+        recipe = {"algorithm": self.name, "seed": self.seed, "base": self.base}
+        recipe |= {"scenarios": [scenario_to_json(s) for s in self.scenarios]}
+        recipe |= {"network": dataclasses.asdict(self.network), "settings": dataclasses.asdict(self.settings)}
+        return json.loads(json.dumps(recipe))
 
     def pack(self) -> dict[str, np.ndarray]:
         """Everything that `iterate` reads and changes, as arrays."""
@@ -89,7 +89,7 @@ class Algorithm(ABC):
         return arrays | {"counters": np.array([self.steps, self.iteration, self.seconds])}
 
     def unpack(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Go on where `pack` was called."""
+        """Restore the state of `pack`."""
         self.policy.load_state_dict({k: torch.tensor(v) for k, v in part(arrays, "policy").items()})
         state: dict[int, dict[str, torch.Tensor]] = {}
         for name, array in part(arrays, "optimizer").items():
@@ -102,7 +102,7 @@ class Algorithm(ABC):
 
 
 def part(arrays: Mapping[str, np.ndarray], name: str) -> dict[str, np.ndarray]:
-    """The arrays below "name/", by the rest of their names."""
+    """The arrays whose names begin with "name/", without that prefix."""
     return {key.removeprefix(f"{name}/"): array for key, array in arrays.items() if key.startswith(f"{name}/")}
 
 
@@ -111,7 +111,7 @@ class Curves:
     """Numbers over agent steps, for TensorBoard and as lines "step,name,value" in curves.csv."""
 
     def __init__(self, folder: Path, step: int) -> None:
-        """Steps from `step` on that are there, of a run that was broken off, are dropped."""
+        """step: of the checkpoint; later lines of an interrupted run are dropped."""
         self._file = folder / "curves.csv"
         lines = self._file.read_text().splitlines()[1:] if self._file.is_file() and step else []
         kept = [line for line in lines if int(line.split(",")[0]) <= step]
@@ -133,7 +133,7 @@ class Curves:
 # -------------------------------------------------------------------------------------------------------------- loop
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Budget:
-    """How long to train: agent steps, or minutes. Only steps make two runs the same, bit for bit."""
+    """Length of a training: agent steps, or minutes. Only with steps two runs are equal bit for bit."""
 
     steps: int | None = None
     minutes: float | None = None
@@ -145,7 +145,7 @@ class Budget:
         rule((self.steps or self.minutes or 0) > 0, "length of a training", "above 0", got, "it has to learn something")
 
     def share(self, steps: int, seconds: float) -> float:
-        """Share of the training that is done."""
+        """Finished share of the training."""
         return min(steps / self.steps if self.steps else seconds / (60.0 * (self.minutes or 1.0)), 1.0)
 
 
@@ -184,22 +184,22 @@ def train(
     with noted_interruption() as interrupted:
         share = budget.share(algorithm.steps, algorithm.seconds)
         while share < 1.0 and not interrupted.is_set():
-            done, found = int(scores * share), algorithm.iterate(share)
+            done, numbers = int(scores * share), algorithm.iterate(share)
             algorithm.iteration += 1
             algorithm.seconds = before + time.perf_counter() - began
             check_finite(algorithm, place)
             share = budget.share(algorithm.steps, algorithm.seconds)
-            found["speed"] = (algorithm.steps) / max(algorithm.seconds, 1e-9)
+            numbers["speed"] = (algorithm.steps) / max(algorithm.seconds, 1e-9)
             if int(scores * share) > done:
                 progress(share, "scoring")
                 scored = score(algorithm, folder, seeds)
-                found |= {f"score/{name}": value for name, value in scored.items()}
+                numbers |= {f"score/{name}": value for name, value in scored.items()}
                 if scored["worth"] > best.get("worth", -np.inf):
                     best = {**scored, "steps": algorithm.steps}
                     write_policy(algorithm, folder, best, seeds)
                 save()
-            curves.add(algorithm.steps, found)
-            progress(share, ", ".join(f"{name} {found[name]:.3g}" for name in ("loss", "success") if name in found))
+            curves.add(algorithm.steps, numbers)
+            progress(share, ", ".join(f"{name} {numbers[name]:.3g}" for name in ("loss", "success") if name in numbers))
         curves.close()
         if interrupted.is_set():
             save()
@@ -247,16 +247,18 @@ def write_policy(
     )
 
 
-def check_recipe(there: Mapping[str, Any], here: Mapping[str, Any]) -> None:
+def check_recipe(stored: Mapping[str, Any], current: Mapping[str, Any]) -> None:
     """Raise `ValueError` naming the first setting in which a resumed training differs from its checkpoint."""
-    if all("type" not in scenario for scenario in there.get("scenarios", ())):
-        here = {**here, "scenarios": as_in_version_0_1(here["scenarios"])}
-    for name in here:
-        for key in here[name] if isinstance(here[name], dict) else [None]:
-            old, new = (r.get(name) if key is None else r.get(name, {}).get(key) for r in (there, here))
+    if all("type" not in scenario for scenario in stored.get("scenarios", ())):
+        current = {**current, "scenarios": as_in_version_0_1(current["scenarios"])}
+    for name in current:
+        for key in current[name] if isinstance(current[name], dict) else [None]:
+            old, new = (r.get(name) if key is None else r.get(name, {}).get(key) for r in (stored, current))
             what = name if key is None else f"{name}.{key}"
             shown = (
-                (old, new) if name != "scenarios" else ([s["name"] for s in old or ()], [s["name"] for s in here[name]])
+                (old, new)
+                if name != "scenarios"
+                else ([s["name"] for s in old or ()], [s["name"] for s in current[name]])
             )
             hint = "resume with the same command, or train in another --out"
             if old != new:
@@ -283,13 +285,13 @@ def check_finite(algorithm: Algorithm, place: Path) -> None:
 
 
 def commit() -> str:
-    """The commit of the source, "" where there is none."""
+    """The commit of the source, "" outside a git repository."""
     here = Path(__file__).parent
-    found = subprocess.run(["git", "rev-parse", "--short=12", "HEAD"], cwd=here, capture_output=True, text=True)
-    return found.stdout.strip()
+    task = subprocess.run(["git", "rev-parse", "--short=12", "HEAD"], cwd=here, capture_output=True, text=True)
+    return task.stdout.strip()
 
 
 def versions() -> dict[str, str]:
-    """Versions of what a training depends on."""
+    """Versions of the packages that a training depends on."""
     modules = {"fovconn_env": fovconn_env, "numpy": np, "numba": numba, "torch": torch, "sb3": stable_baselines3}
     return {"python": platform.python_version(), **{name: str(m.__version__) for name, m in modules.items()}}

@@ -44,18 +44,18 @@ class Network:
 def make_model(rows: Rows, network: Network, seed: int, **settings: Any) -> PPO:
     """SB3's PPO with an `ActorCriticPolicy` of ours, not trained yet; `settings` go to PPO.
 
-    Unless told otherwise it goes on, in SB3's hands, with the sizes of `ppo.PPOSettings`.
+    By default it has the sizes of `ppo.PPOSettings`, for a further training by SB3.
     """
     ours = {"n_steps": 128, "batch_size": 4096, "n_epochs": 4, "gamma": 0.99, "learning_rate": 5e-4, **settings}
     collected = ours["n_steps"] * rows.num_envs
     even = math.gcd(ours["batch_size"], collected)  # SB3 warns of batches that do not come out even
     ours["batch_size"] = even if even > 1 else collected
-    told: dict[str, Any] = {"max_neighbors": rows.parts[0].scenario.max_neighbors, "extra": rows.extra}
+    arguments: dict[str, Any] = {"max_neighbors": rows.parts[0].scenario.max_neighbors, "extra": rows.extra}
     if network.kind == "set":
-        told |= {"width": network.width, "spots": network.spots}
+        arguments |= {"width": network.width, "spots": network.spots}
     policy = {
         "features_extractor_class": ENCODERS[network.kind],
-        "features_extractor_kwargs": told,
+        "features_extractor_kwargs": arguments,
         "share_features_extractor": False,  # the critic's errors do not reach the actor
         "net_arch": {"pi": list(network.hidden), "vf": list(network.hidden)},
         "activation_fn": nn.SiLU,
@@ -67,7 +67,7 @@ def make_model(rows: Rows, network: Network, seed: int, **settings: Any) -> PPO:
 
 
 def mean_action(policy: ActorCriticPolicy, observations: torch.Tensor) -> torch.Tensor:
-    """What the actor does without noise, (R, 4), in a network's units and before clipping."""
+    """The actor's mean actions, (R, 4), in a network's units and before clipping."""
     features = policy.pi_features_extractor(observations)
     return policy.action_net(policy.mlp_extractor.forward_actor(features))
 
@@ -91,15 +91,15 @@ def layers(policy: Any) -> dict[str, Any]:
 
 def weights(policy: ActorCriticPolicy) -> dict[str, np.ndarray]:
     """The actor's arrays as a policy's file names them, matrices (in, out)."""
-    found = layers(policy)
-    arrays = {name: layer.weight.detach().numpy().T.copy() for name, layer in found.items()}
+    linear = layers(policy)
+    arrays = {name: layer.weight.detach().numpy().T.copy() for name, layer in linear.items()}
     return arrays | {
-        f"{name}_bias": layer.bias.detach().numpy() for name, layer in found.items() if layer.bias is not None
+        f"{name}_bias": layer.bias.detach().numpy() for name, layer in linear.items() if layer.bias is not None
     }
 
 
 def load_weights(policy: ActorCriticPolicy, encoder: Encoder, head: Head) -> None:
-    """Put a policy's arrays into the actor; `ValueError` where the sizes differ."""
+    """Copy a policy's arrays to the actor. Raises `ValueError` if the sizes differ."""
     arrays = {**encoder._asdict(), **head._asdict()}
     for name, mine in weights(policy).items():
         hint = "start with the same --network and its sizes"

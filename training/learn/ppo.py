@@ -69,8 +69,8 @@ class Team(Algorithm):
         network = (network or Network()).deviating(-2.0 if start else -0.7)
         law = {"base": self.base, "bound": self.bound, "filtered": filtered}
         self.rows = Rows(scenarios, s.n_worlds, reward=s.reward, n_threads=n_threads, **law)
-        told = {"n_steps": s.n_steps, "batch_size": s.batch, "gamma": s.gamma, "gae_lambda": s.lam}
-        model = make_model(self.rows, network, seed, learning_rate=s.learning_rate, **told)
+        sizes = {"n_steps": s.n_steps, "batch_size": s.batch, "gamma": s.gamma, "gae_lambda": s.lam}
+        model = make_model(self.rows, network, seed, learning_rate=s.learning_rate, **sizes)
         super().__init__(model, scenarios, seed, s, network)
         self.s, self.filtered, self.start = s, filtered, start
         if start is not None:
@@ -90,7 +90,7 @@ class Team(Algorithm):
         return {**self.update(rng, share), **self.rows.outcomes()}
 
     def update(self, rng: np.random.Generator, share: float) -> dict[str, float]:
-        """n_epochs over the rollout in random batches; means of what the last epoch saw."""
+        """n_epochs over the rollout in random batches; means of the last epoch."""
         s, policy, data = self.s, self.policy, self.rollout()
         for group in policy.optimizer.param_groups:
             group["lr"] = s.learning_rate * max(1.0 - share, 0.0)
@@ -152,7 +152,7 @@ class Team(Algorithm):
         return super().pack() | arrays
 
     def unpack(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Go on where `pack` was called."""
+        """Restore the state of `pack`."""
         super().unpack(arrays)
         self.rows.unpack(part(arrays, "rows"))
         self.model._last_obs, self.model._last_episode_starts = self.rows.observations.copy(), arrays["starts"]
@@ -162,7 +162,7 @@ class Team(Algorithm):
 
 
 class Quiet(BaseCallback):
-    """Nothing to do at a step; progress and curves are the loop's."""
+    """A callback without effect: the loop reports progress and curves."""
 
     def on_step(self) -> bool:
         """Go on."""

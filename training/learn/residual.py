@@ -48,11 +48,11 @@ class Residual(Team):
         seed: int = 0,
         settings: ResidualSettings | None = None,
         network: Network | None = None,
-        **told: Any,
+        **options: Any,
     ) -> None:
         s = settings or ResidualSettings()
         self.base, self.bound = s.base, s.bound
-        super().__init__(scenarios, seed, s, (network or Network()).deviating(-1.0), **told)
+        super().__init__(scenarios, seed, s, (network or Network()).deviating(-1.0), **options)
         if self.start is None:
             for parameter in self.policy.action_net.parameters():
                 torch.nn.init.zeros_(parameter)

@@ -93,7 +93,7 @@ class Rows(VecEnv):
         return np.ascontiguousarray(self.observations[self.slices[k], :width])
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Keep the actions (R, 4), in a network's units, for `step_wait`."""
+        """Store the actions (R, 4), in a network's units, for `step_wait`."""
         self._actions = np.asarray(actions, np.float32)
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
@@ -102,14 +102,14 @@ class Rows(VecEnv):
         infos: list[dict[str, Any]] = []
         for k, (part, here) in enumerate(zip(self.parts, self.slices, strict=True)):
             part.step_async(self._flown(k))
-            flat, rewards[here], dones[here], told = part.step_wait()
+            flat, rewards[here], dones[here], part_infos = part.step_wait()
             self.observations[here] = self._extended(flat, here)
             ended = np.flatnonzero(dones[here])
             if len(ended):
-                last = self._extended(np.stack([told[row]["terminal_observation"] for row in ended]), here)
+                last = self._extended(np.stack([part_infos[row]["terminal_observation"] for row in ended]), here)
                 for row, observation in zip(ended.tolist(), last, strict=True):
-                    told[row]["terminal_observation"] = observation
-            infos += told
+                    part_infos[row]["terminal_observation"] = observation
+            infos += part_infos
         self._return += rewards
         self._length += 1
         for row in np.flatnonzero(dones).tolist():
@@ -128,7 +128,7 @@ class Rows(VecEnv):
         return means
 
     def pack(self) -> dict[str, np.ndarray]:
-        """All that a later `unpack` needs to go on with the same bits."""
+        """The state from which `unpack` continues with the same bits."""
         arrays = {"observations": self.observations, "return": self._return, "length": self._length}
         for k, part in enumerate(self.parts):
             arrays |= {f"{k}/split": part._split, f"{k}/seed": np.array(self._seed)}
@@ -136,7 +136,7 @@ class Rows(VecEnv):
         return arrays
 
     def unpack(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Go on where `pack` was called; `ValueError` if that was with other worlds."""
+        """Restore the state of `pack`. Raises `ValueError` for other worlds."""
         self.observations[:], self._return[:] = arrays["observations"], arrays["return"]
         self._length[:] = arrays["length"]
         for k, part in enumerate(self.parts):
@@ -192,11 +192,11 @@ def pack_simulator(simulator: Simulator) -> dict[str, np.ndarray]:
 
 
 def unpack_simulator(simulator: Simulator, arrays: Mapping[str, np.ndarray]) -> None:
-    """Put a simulator where `pack_simulator` was called; `ValueError` for one of other settings."""
+    """Restore the state of `pack_simulator`. Raises `ValueError` for a simulator with other settings."""
     if "state/own" in arrays:
         arrays = {**arrays, **_state_of_version_0_1(arrays)}
-    there, here = arrays["state/flat"].shape, simulator.state.flat.shape
-    rule(there == here, "worlds of a checkpoint", f"of the shape {here}", there, "made by other settings")
+    stored, shape = arrays["state/flat"].shape, simulator.state.flat.shape
+    rule(stored == shape, "worlds of a checkpoint", f"of the shape {shape}", stored, "made by other settings")
     for name, array in simulator.state._asdict().items():
         if not name.endswith("_row"):
             for field in array.dtype.names or (...,):
