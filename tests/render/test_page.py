@@ -5,6 +5,8 @@ import dataclasses
 import io
 import json
 import re
+import shutil
+import subprocess
 import zlib
 from pathlib import Path
 
@@ -105,6 +107,27 @@ def test_two_minutes_of_six_robots_stay_below_eight_megabytes(tmp_path):
     noise |= {"time": np.arange(t) * chosen.step_time, "stick": noise["stick"][:, :3], "yaw_valid": noise["yaw"] > 0}
     noise |= {"alive": noise["lambda2_hat"] > 0, "weights": noise["weights"] % 1.0, "leader": rng.integers(n, size=t)}
     assert write_page(FLIGHT._replace(scenario=chosen, **noise), tmp_path / "a.html").stat().st_size < 8e6
+
+
+@pytest.mark.skipif(not shutil.which("node"), reason="Node runs this test, and there is none: apt-get install nodejs")
+def test_the_script_reads_what_was_written(page):
+    program = (
+        "globalThis.document = { getElementById: () => ({ textContent: require('fs').readFileSync(0, 'utf8') }) };"
+        + (WEB / "data.js").read_text("utf-8")
+        + "const summary = f => [f.end, Array.from(f.poses), linksAt(f, locate(f, 3.0))];"
+        + "loadFlight().then(f => console.log(JSON.stringify(summary(f))))"
+    )
+    text = re.search(r'id="flight">(.*?)</script>', page.read_text("utf-8"), re.DOTALL)[1]
+    run = subprocess.run(["node", "-e", program], input=text, capture_output=True, text=True, check=True)
+    end, poses, links = json.loads(run.stdout)
+    k = np.searchsorted(FLIGHT.time, 3.0 - 1e-9)
+    assert end == FLIGHT.time[-1]
+    np.testing.assert_allclose(poses, FLIGHT.poses[instants(FLIGHT)].ravel(), atol=1e-5)
+    wanted = [(i, j) for i in range(3) for j in range(i + 1, 3) if FLIGHT.weights[k, i, j] > 0]
+    assert [(i, j) for i, j, *_ in links] == wanted
+    for i, j, weight, own, other in links:
+        assert weight == pytest.approx(FLIGHT.weights[k, i, j], abs=1 / 255)
+        assert (own, other) == (FLIGHT.watch[k, i, j] > 0, FLIGHT.watch[k, j, i] > 0)
 
 
 # --------------------------------------------------------------------------------------------------- in a browser

@@ -59,7 +59,7 @@ def session(policy, folder):
     """The first flight of a session without a person."""
     one = Session(TASK.name, policy, SEED, changes=CHANGES, record=folder / "session.npz")
     one.hands_off()
-    one.handover.open[:] = False
+    one.handover.active[:] = False
     while not one.over:
         one.step()
     return load(one.files[0])
