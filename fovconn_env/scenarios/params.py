@@ -1,7 +1,8 @@
 """The settings as the kernels read them: one flat record of numbers, built from the settings classes.
 
 Every number and switch of a scenario is a field of its own name, where its unit and meaning stand; the groups in
-`PREFIXED` put their own name in front, as in yaw_k1. What the kernels would compute in every step is derived here.
+`PREFIXED` put their own name in front, as in yaw_k1. What the kernels would compute in every step is derived here. `scenario` is a `Scenario`, whose
+module imports this one.
 """
 
 from __future__ import annotations
@@ -9,14 +10,11 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from fovconn_env.scenarios.leader import Recorded
-
-if TYPE_CHECKING:
-    from fovconn_env.scenarios.scenario import Scenario
 
 # The order is the number the kernels compare with.
 SWITCHES: dict[str, tuple[str, ...]] = {
@@ -32,13 +30,13 @@ _TYPES = {bool: "b1", int: "i8", float: "f8"}
 
 
 @functools.cache
-def params_dtype(kind: type[Scenario]) -> np.dtype:
+def params_dtype(kind: type) -> np.dtype:
     """The record's type: for each value one field, of the type that it has in a scenario of default settings."""
     fields = [(name, _TYPES[type(value)]) for name, value in _values(kind()).items()]
     return np.dtype((np.record, np.dtype(fields, align=True)))
 
 
-def pack(scenario: Scenario) -> np.ndarray:
+def pack(scenario: Any) -> np.ndarray:
     """A scenario's record, (1,)."""
     record = np.zeros(1, params_dtype(type(scenario)))
     for name, value in _values(scenario).items():
@@ -46,7 +44,7 @@ def pack(scenario: Scenario) -> np.ndarray:
     return record
 
 
-def _values(scenario: Scenario) -> dict[str, Any]:
+def _values(scenario: Any) -> dict[str, Any]:
     clock, radio = scenario.clock, scenario.radio
     round_time = clock.tick / clock.rounds  # s
     travel_time = radio.delay * round_time  # s, of a message
