@@ -1,8 +1,8 @@
 """The settings as the kernels read them: one flat record of numbers, built from the settings classes.
 
 Every number and switch of a scenario is a field of its own name, where its unit and meaning stand; the groups in
-`PREFIXED` put their own name in front, as in yaw_k1. What the kernels would compute in every step is derived here. `scenario` is a `Scenario`, whose
-module imports this one.
+`PREFIXED` put their own name in front, as in yaw_k1. What the kernels would compute in every step is derived here.
+`scenario` is a `Scenario` everywhere; its module imports this one.
 """
 
 from __future__ import annotations
