@@ -38,9 +38,11 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
 def stage(function: Callable[P, R]) -> Callable[P, R]:
     """As `kernel`, compiled into its caller: for a function that takes many arrays and is called in one place.
 
-    Handing the arrays over would take longer than the work on them.
+    Handing the arrays over would take longer than the work on them. It cannot be called from Python: a wrapper for that
+    takes time to compile.
     """
-    return cast("Callable[P, R]", numba.njit(function, forceinline=True, **_OPTIONS))
+    without = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    return cast("Callable[P, R]", numba.njit(function, forceinline=True, **without, **_OPTIONS))
 
 
 def view(function: Callable[P, R]) -> Callable[P, R]:
