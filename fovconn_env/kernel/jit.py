@@ -1,7 +1,7 @@
 """The decorators of compiled code, and a cache that notices an edit in any kernel file.
 
-`kernel`, `stage` and `view` mark functions called from compiled code, `entry` one called from Python. With
-`NUMBA_DISABLE_JIT=1` they leave plain Python behind.
+`kernel`, `stage` and `view` mark functions called from compiled code, `entry` one called from Python, `formula` one
+called from both. With `NUMBA_DISABLE_JIT=1` they leave plain Python behind.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -20,29 +20,48 @@ import numba
 import numpy as np
 import platformdirs
 from numba.core import config
+from numba.core.registry import CPUDispatcher
 
 P = ParamSpec("P")
 R = TypeVar("R")
 # No array is made by a kernel, so references need not be counted; counting them takes a twelfth of a step.
 _OPTIONS: dict[str, Any] = {"fastmath": False, "_nrt": False}
+# Of what only compiled code calls: wrappers for calls from Python and C would be compiled for nothing.
+_INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, **_OPTIONS}
 _PACKAGE = Path(__file__).parents[1]
 # Stands in every file that holds compiled code.
-_MARK = re.compile(rb"^from fovconn_env\.kernel\.jit import .*\b(?:entry|kernel|stage|view)\b", re.MULTILINE)
+_MARK = re.compile(rb"^from fovconn_env\.kernel\.jit import .*\b(?:entry|formula|kernel|stage|view)\b", re.MULTILINE)
+
+
+class _Inner(CPUDispatcher):
+    """A compiled function without the wrapper that a call from Python would go through."""
+
+    def __call__(self, *args: object, **kwargs: object) -> None:
+        raise TypeError(f"{self.py_func.__qualname__} is called from compiled code only: call it in an `entry`")
+
+
+def _inner(dispatcher: Any) -> Any:
+    if isinstance(dispatcher, CPUDispatcher):  # not with NUMBA_DISABLE_JIT=1
+        dispatcher.__class__ = _Inner
+    return dispatcher
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a function that only compiled code calls. It makes no array."""
+    return _inner(numba.njit(function, **_INNER))
+
+
+def formula(function: Callable[P, R]) -> Callable[P, R]:
+    """As `kernel`, for a function of numbers that Python calls as well."""
     return cast("Callable[P, R]", numba.njit(function, **_OPTIONS))
 
 
 def stage(function: Callable[P, R]) -> Callable[P, R]:
     """As `kernel`, compiled into its caller: for a function that takes many arrays and is called in one place.
 
-    Handing the arrays over would take longer than the work on them. It cannot be called from Python: a wrapper for that
-    takes time to compile.
+    Handing the arrays over would take longer than the work on them.
     """
-    without = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    return cast("Callable[P, R]", numba.njit(function, forceinline=True, **without, **_OPTIONS))
+    return _inner(numba.njit(function, forceinline=True, **_INNER))
 
 
 def view(function: Callable[P, R]) -> Callable[P, R]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from fovconn_env.kernel.jit import kernel
+from fovconn_env.kernel.jit import formula, kernel
 
 _ON_CORE = 1e-24  # m^2, nearer to the core the direction to it is rounding, and the edge's normal counts
 
@@ -63,7 +63,7 @@ def sight_blocked(ax, ay, az, bx, by, bz, pieces, vertices):
     return False
 
 
-@kernel
+@formula
 def tilt(x, y, z, roll, pitch):
     """Ry(pitch) Rx(roll) times a vector: body frame to yaw frame."""
     y, z = math.cos(roll) * y - math.sin(roll) * z, math.sin(roll) * y + math.cos(roll) * z

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from fovconn_env.kernel.jit import kernel
+from fovconn_env.kernel.jit import formula, kernel
 
 UNION, PRODUCT, OMNI = range(3)  # scenarios.params.SWITCHES["weight"]
 _WAVE = tuple((-1) ** k * math.pi ** (2 * k + 1) / (2 * math.factorial(2 * k + 1)) for k in range(10))
@@ -28,7 +28,7 @@ def half_wave(x):
     return 0.5 + t * (low + s2 * s2 * (middle + s2 * s2 * (_WAVE[8] + s * _WAVE[9])))
 
 
-@kernel
+@formula
 def rise(x, low, high):
     """Rising activation w_1^0 (7): 0 up to `low`, 1 from `high`."""
     if x <= low:
