@@ -5,6 +5,7 @@ import pytest
 
 from fovconn_env.baselines import Augmented, AugmentedGains, Cohesive, CohesiveGains, Expert, Gains
 from fovconn_env.baselines.laws.expert import control, limit_feed_forward
+from fovconn_env.kernel.jit import entry
 from fovconn_env.scenarios.presets import scenario
 from fovconn_env.sim.simulator import Simulator
 from fovconn_env.training.evaluation import evaluate, summary
@@ -101,12 +102,17 @@ def test_a_robot_without_valid_neighbors_is_the_expert(column):
     assert policy.act(observations).tobytes() != expert.act(observations).tobytes()
 
 
+@entry
+def _limited(forward, velocity, stick):
+    return limit_feed_forward(forward, velocity, stick)
+
+
 @pytest.mark.nojit
 def test_feed_forward_fills_up_to_the_stick_and_no_more():
     rng = np.random.default_rng(4)
     for _ in range(200):
         f, wish, stick = rng.normal(size=(3, 3))
-        got = np.array(limit_feed_forward(tuple(f), tuple(wish), tuple(stick)))
+        got = np.array(_limited(tuple(f), tuple(wish), tuple(stick)))
         speed = np.linalg.norm(stick)
         s = stick / speed
         np.testing.assert_allclose(np.cross(got, s), np.cross(f, s), rtol=0, atol=1e-12)  # across: untouched
@@ -114,7 +120,7 @@ def test_feed_forward_fills_up_to_the_stick_and_no_more():
         assert (wish + got) @ s <= max(speed, wish @ s) + 1e-12
         if f @ s <= 0.0 or (wish + f) @ s <= speed:
             np.testing.assert_allclose(got, f, rtol=0, atol=1e-12)
-        assert limit_feed_forward(tuple(f), tuple(wish), (0.0, 0.0, 0.0)) == tuple(f)
+        assert _limited(tuple(f), tuple(wish), (0.0, 0.0, 0.0)) == tuple(f)
 
 
 @pytest.mark.nojit
