@@ -71,17 +71,18 @@ def find_policy(name: str) -> type[Policy]:
         hint = f"did you mean {near[0]!r}?" if near else "your own is file.py:Class or file.safetensors"
         raise ValueError(f"policy must be one of {', '.join(POLICIES)}, or file.py:Class, got {name!r}: {hint}")
     module = _module(place, name)
-    found = {
+    classes = {
         key: value
         for key, value in vars(module).items()
         if inspect.isclass(value) and issubclass(value, Policy) and value.__module__ == module.__name__
     }
-    if not wanted and len(found) == 1:
-        return next(iter(found.values()))
-    if wanted not in found:
-        there = f"there are {', '.join(found)}" if found else "a policy is a subclass of baselines.Policy"
-        raise ValueError(f"policy {name!r} must name a policy class of {place}, got {wanted!r}: {there}")
-    return found[wanted]
+    if not wanted and len(classes) == 1:
+        return next(iter(classes.values()))
+    if wanted not in classes:
+        hint = "a policy is a subclass of fovconn_env.baselines.Policy"
+        known = f"there are {', '.join(classes)}" if classes else hint
+        raise ValueError(f"policy {name!r} must name a policy class of {place}, got {wanted!r}: {known}")
+    return classes[wanted]
 
 
 def _module(place: str, name: str) -> ModuleType:

@@ -47,11 +47,11 @@ class Card:
     scores: Mapping[str, Any] = field(default_factory=dict)  # on the seeds that chose the checkpoint
 
 
-def write(file: Path, arrays: Mapping[str, np.ndarray], **told: Any) -> Card:
+def write(file: Path, arrays: Mapping[str, np.ndarray], **details: Any) -> Card:
     """Write weights and card, both or, after an `OSError`, none."""
     data = safetensors.numpy.save({name: np.ascontiguousarray(array, np.float32) for name, array in arrays.items()})
     columns, meaning = inputs.columns(), inputs.fingerprint()
-    card = Card(columns=columns, inputs=meaning, sha256=hashlib.sha256(data).hexdigest(), **told)
+    card = Card(columns=columns, inputs=meaning, sha256=hashlib.sha256(data).hexdigest(), **details)
     text = json.dumps(dataclasses.asdict(card), indent=1) + "\n"
     write_files({file: data, file.with_suffix(".json"): text.encode()})
     return card
@@ -65,16 +65,16 @@ def read(file: Path, names: Mapping[str, Sequence[str]]) -> tuple[Card, dict[str
     card = read_card(file)
     rule(file.is_file(), f"{file}", "a file that exists", str(file), "a card alone does not fly")
     data = file.read_bytes()
-    found = hashlib.sha256(data).hexdigest()
+    digest = hashlib.sha256(data).hexdigest()
     hint = "truncated or changed since; copy both files again"
-    rule(found == card.sha256, f"sha256 of {file}", f"what its card says ({card.sha256[:12]})", found[:12], hint)
+    rule(digest == card.sha256, f"sha256 of {file}", f"what its card says ({card.sha256[:12]})", digest[:12], hint)
     try:
         arrays = safetensors.numpy.load(data)
     except Exception as problem:  # SafetensorError and what numpy raises; the library lists none
         raise ValueError(f"{file} must be a safetensors file, got {len(data)} bytes: {problem}") from problem
-    wanted, there = set(names[card.network]), set(arrays)
-    hint = f"missing {sorted(wanted - there)}, unknown {sorted(there - wanted)}"
-    rule(wanted == there, f"arrays of {file}", f"those of a {card.network!r} network", len(there), hint)
+    wanted, present = set(names[card.network]), set(arrays)
+    hint = f"missing {sorted(wanted - present)}, unknown {sorted(present - wanted)}"
+    rule(wanted == present, f"arrays of {file}", f"those of a {card.network!r} network", len(present), hint)
     for name, array in arrays.items():
         fine = array.dtype == np.float32 and bool(np.isfinite(array).all())
         rule(fine, f"{name} of {file}", "finite float32 numbers", str(array.dtype), "did the training diverge?")
@@ -114,10 +114,10 @@ def read_card(file: Path) -> Card:
     known = f"null or one of {', '.join(BASES)}"
     rule(card.base is None or card.base in BASES, f"base of {place}", known, card.base, "written by hand?")
     for table, names in inputs.columns().items():
-        there = list(card.columns.get(table, ()))
-        odd = sorted(set(there) ^ set(names)) or "another order"
+        stated = list(card.columns.get(table, ()))
+        odd = sorted(set(stated) ^ set(names)) or "another order"
         hint = f"trained on another observation layout, which differs in {odd}; train it anew"
-        rule(there == names, f"columns {table!r} of {place}", f"the {len(names)} of this version", len(there), hint)
+        rule(stated == names, f"columns {table!r} of {place}", f"the {len(names)} of this version", len(stated), hint)
     hint = "units, frames or scales are others since; train it anew"
     mine = inputs.fingerprint()
     rule(card.inputs == mine, f"inputs of {place}", f"{mine}, as this version scales them", card.inputs, hint)

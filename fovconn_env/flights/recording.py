@@ -61,10 +61,10 @@ class Recording:
     @property
     def leaders(self) -> np.ndarray:
         """(T,) the robot that led in each step."""
-        found = np.full(len(self.actions), self.scenario.leader_index)
+        leaders = np.full(len(self.actions), self.scenario.leader_index)
         for event in self.events:
-            found[event.step :] = event.robot
-        return found
+            leaders[event.step :] = event.robot
+        return leaders
 
     def save(self, path: str | Path) -> None:
         """Write the recording to an .npz file; one that is there stays until the new one is whole."""
@@ -92,19 +92,19 @@ def load(path: str | Path) -> Recording:
             "hashes": tuple((int(step), str(digest)) for step, digest in header["hashes"]),
             "hash_format": header.get("hash_format", 1),
         }
-        found = Recording(**words, **{"poses": None, **arrays})
+        recording = Recording(**words, **{"poses": None, **arrays})
         hint = "is it of a newer fovconn_env?"
-        rule(found.hash_format in FORMATS, "hash_format", f"one of {FORMATS}", found.hash_format, hint)
-        fits = found.sticks.shape == (len(found.actions), 3)
-        fits = fits and found.actions.shape == (len(found.actions), found.scenario.n_agents, 4)
+        rule(recording.hash_format in FORMATS, "hash_format", f"one of {FORMATS}", recording.hash_format, hint)
+        fits = recording.sticks.shape == (len(recording.actions), 3)
+        fits = fits and recording.actions.shape == (len(recording.actions), recording.scenario.n_agents, 4)
     except (KeyError, TypeError, ValueError) as problem:
         other = _differences(header.get("versions", {}))
         if other:
             raise OtherVersion(f"{path} cannot be read: {problem}. It is of {other}") from problem
         raise Damaged(f"{path} is damaged: {problem}") from problem
-    if not fits or found.hashes[0][0] != 0 or found.hashes[-1][0] != len(found.actions):
+    if not fits or recording.hashes[0][0] != 0 or recording.hashes[-1][0] != len(recording.actions):
         raise Damaged(f"{path} is damaged: its sticks, actions and hashes are not of the same flight")
-    return found
+    return recording
 
 
 def play_back(recording: Recording, *, force: bool = False, observers: Sequence[Observer] = ()) -> Iterator[Simulator]:
@@ -155,8 +155,8 @@ def outcome(simulator: Simulator, world: int = 0) -> str:
 
 def versions() -> dict[str, str]:
     """What a flight's bits may depend on, by name."""
-    found = {"fovconn_env": __version__, "kernels": source_hash(), "python": platform.python_version()}
-    return found | {name: metadata.version(name) for name in ("numpy", "numba", "llvmlite", "pymunk")}
+    own = {"fovconn_env": __version__, "kernels": source_hash(), "python": platform.python_version()}
+    return own | {name: metadata.version(name) for name in ("numpy", "numba", "llvmlite", "pymunk")}
 
 
 def _differences(recorded: dict[str, str]) -> str:

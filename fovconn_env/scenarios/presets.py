@@ -163,7 +163,7 @@ def _replace(settings: Any, changes: dict[str, Any]) -> Any:
 def _at_level(preset: Scenario, level: int) -> Scenario:
     changes = LEVELS.get(preset.name, ())
     whole = isinstance(level, (int, np.integer)) and not isinstance(level, bool)
-    there = f"1 to {len(changes) + 1}" if changes else "1"
+    levels = f"1 to {len(changes) + 1}" if changes else "1"
     hint = f"levels of {preset.name}: {len(changes) + 1}"
-    rule(bool(whole and 1 <= level <= len(changes) + 1), "level", there, level, hint)
+    rule(bool(whole and 1 <= level <= len(changes) + 1), "level", levels, level, hint)
     return preset if level == 1 else dataclasses.replace(preset, **changes[level - 2])

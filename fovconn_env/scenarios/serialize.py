@@ -33,10 +33,10 @@ def scenario_to_json(scenario: Scenario) -> dict[str, Any]:
 
 def scenario_from_json(record: Mapping[str, Any]) -> Scenario:
     """The scenario of a record; `ValueError` for a setting that there is not, or whose value is refused."""
-    found = _built(record)
-    if not isinstance(found, Scenario):
-        raise SettingError(f"a scenario's record must be an object of type Scenario, got {type(found).__name__}")
-    return found
+    built = _built(record)
+    if not isinstance(built, Scenario):
+        raise SettingError(f"a scenario's record must be an object of type Scenario, got {type(built).__name__}")
+    return built
 
 
 def _plain(value: Any) -> Any:

@@ -442,7 +442,7 @@ def test_of_two_policies_in_a_file_one_must_be_named(file):
         "own_broken.py": r"must load, got ZeroDivisionError",
         "own_broken.py:Stay": r"must load, got ZeroDivisionError",
         "own_typo.py": r"must load, got SyntaxError",
-        "own_empty.py": r"got '': a policy is a subclass of baselines\.Policy",
+        "own_empty.py": r"got '': a policy is a subclass of fovconn_env\.baselines\.Policy",
         "own_one.py:Sty": r"must name a policy class of own_one\.py, got 'Sty': there are Stay",
         "no.such.module:Stay": r"must load, got ModuleNotFoundError",
         "folow": r"got 'folow': did you mean 'follow'\?",

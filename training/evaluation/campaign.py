@@ -71,22 +71,22 @@ def fly_cells(
     shelf = Shelf(folder)
     done = [None if fresh else shelf.load(cell) for cell in cells]
     orders = _orders(cells, seeds, done if recordings is None else [None] * len(done))
-    found = len(seeds) * len(cells) - sum(len(block) for _, block in orders)
+    n_kept = len(seeds) * len(cells) - sum(len(block) for _, block in orders)
 
     def keep(k: int, part: Evaluation) -> None:
         if not part.seeds:
             return
         kept = done[k]
         others = sorted(set(kept.seeds) - set(part.seeds)) if kept is not None else []
-        found = join([_in_order(kept, others), part]) if kept is not None else part
-        done[k] = _in_order(found, sorted(found.seeds))  # blocks finish in any order
+        joined = join([_in_order(kept, others), part]) if kept is not None else part
+        done[k] = _in_order(joined, sorted(joined.seeds))  # blocks finish in any order
         shelf.save(cells[k], done[k])
 
     try:
         if orders:
             fly_block = functools.partial(_fly_block, recordings)
             count = processes or os.cpu_count() or 1
-            _fly_orders(cells, orders, count, fly_block, keep, lambda n: progress and progress(found + n))
+            _fly_orders(cells, orders, count, fly_block, keep, lambda n: progress and progress(n_kept + n))
     except Interrupted:
         kept = sum(len(set(seeds) & set(part.seeds)) for part in done if part is not None)
         where = f"are kept in {folder}" if folder else "were finished"
@@ -99,8 +99,8 @@ def _orders(cells: Sequence[Cell], seeds: Sequence[int], done: Sequence[Evaluati
     """(cell, seeds) of each block still to be flown, those that take longest first."""
     orders = []
     for k, part in enumerate(done):
-        there = set(part.seeds) if part is not None else set()
-        missing = [seed for seed in seeds if seed not in there]
+        kept = set(part.seeds) if part is not None else set()
+        missing = [seed for seed in seeds if seed not in kept]
         orders += [(k, missing[first : first + BLOCK]) for first in range(0, len(missing), BLOCK)]
     return sorted(orders, key=lambda order: -len(order[1]) * _cost(cells[order[0]].scenario))
 

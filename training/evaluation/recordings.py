@@ -27,5 +27,5 @@ def measure(
         if watch is not None:
             watch(step)
     who = " and ".join(dict.fromkeys(recording.policies)) or "someone"
-    found = Evaluation(who, recording.scenario, [recording.seed], meter.results(), meter.histograms())
-    return found, state_hash(meter.simulator, format=recording.hash_format) == recording.hashes[-1][1]
+    evaluation = Evaluation(who, recording.scenario, [recording.seed], meter.results(), meter.histograms())
+    return evaluation, state_hash(meter.simulator, format=recording.hash_format) == recording.hashes[-1][1]
