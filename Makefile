@@ -33,7 +33,7 @@ test-fast: $(VENV)/installed-dev  ## the suite without its long statistics
 	$(PYTEST) -m "not slow" $(ARGS)
 
 test-integrations: $(LIBRARIES)/current/installed $(LIBRARIES)/older/installed  ## docs/examples, each with its library (torch, 3 GB)
-	$(LIBRARIES)/current/bin/python -m pytest tests/integrations tests/training/test_sb3.py tests/training/test_training.py tests/render/test_rerun.py $(ARGS)
+	$(LIBRARIES)/current/bin/python -m pytest tests/integrations tests/training/test_sb3.py tests/training/test_training.py tests/render/test_rerun.py tests/test_files.py $(ARGS)
 	$(LIBRARIES)/older/bin/python -m pytest tests/integrations $(ARGS)
 
 results: $(VENV)/installed-demo  ## fly all that docs/results shows (about an hour), write it, and check it
