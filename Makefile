@@ -15,7 +15,7 @@ PIP := $(BIN)/python $(INSTALL) -c constraints.txt
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help demo results docs test test-fast test-integrations lint format dist clean
+.PHONY: help demo results docs test test-fast test-integrations fuzz lint format dist clean
 .NOTPARALLEL:
 
 help:  ## list the targets
@@ -35,6 +35,9 @@ test-fast: $(VENV)/installed-dev  ## the suite without its long statistics
 test-integrations: $(LIBRARIES)/current/installed $(LIBRARIES)/older/installed  ## docs/examples, each with its library (torch, 3 GB)
 	$(LIBRARIES)/current/bin/python -m pytest tests/integrations tests/training/test_sb3.py tests/training/test_training.py tests/render/test_rerun.py tests/test_files.py $(ARGS)
 	$(LIBRARIES)/older/bin/python -m pytest tests/integrations $(ARGS)
+
+fuzz: $(VENV)/installed-dev  ## the tests with random inputs, with as many as docs/security.md promises (hours)
+	FUZZ=full $(PYTEST) -m fuzz $(ARGS)
 
 results: $(VENV)/installed-demo  ## fly all that docs/results shows (about an hour), write it, and check it
 	$(BIN)/fovconn eval --suite full --out out/results/full --json docs/results/full.json
