@@ -114,17 +114,25 @@ def _read_json(text: str, file: str) -> list[Entry]:
 def _read_shape(where: str, item: Any) -> tuple[str, dict[str, Any]]:
     """One shape as (method of Map, arguments). Keys and types are checked here, values by Map's methods."""
     rule(isinstance(item, dict), where, "an object", Short(item), "see docs/maps.md")
+    arguments = {key: value for key, value in item.items() if key != "shape"}
     shape = item.get("shape")
+    depths = check_call(where, shape, arguments)
+    for key, value in arguments.items():
+        rule(_is_nested(value, depths[key]), f"{where} ({shape}): {key}", _DEPTHS[depths[key]], Short(value), "metres")
+    return shape, arguments
+
+
+def check_call(where: str, shape: Any, arguments: Any) -> dict[str, int]:
+    """The nested depth of each argument of a shape: a method of Map that is known here, and its own arguments by name.
+
+    Raises `SettingError` for any other; so a name that comes from a file reaches no other method.
+    """
     valid = isinstance(shape, str) and shape in _SHAPES
     rule(valid, f"{where}: shape", f"one of {', '.join(_SHAPES)}", Short(shape), "these are Map's methods")
+    rule(isinstance(arguments, Mapping), f"{where} ({shape})", "an object", Short(arguments), "arguments by name")
     needed, optional = _SHAPES[shape], _OPTIONAL[shape] | _HEIGHTS
-    where = f"{where} ({shape})"
-    _check_keys(where, item, ("shape", *needed), tuple(optional))
-    arguments = {key: value for key, value in item.items() if key != "shape"}
-    for key, value in arguments.items():
-        depth = (needed | optional)[key]
-        rule(_is_nested(value, depth), f"{where}: {key}", _DEPTHS[depth], Short(value), "metres")
-    return shape, arguments
+    _check_keys(f"{where} ({shape})", arguments, tuple(needed), tuple(optional))
+    return needed | optional
 
 
 def _check_keys(where: str, item: Mapping[str, Any], needed: Sequence[str], optional: Sequence[str]) -> None:

@@ -11,9 +11,10 @@ import numpy as np
 import numpy.typing as npt
 import pymunk
 
+from fovconn_env.errors import rule
 from fovconn_env.kernel.records import PIECE
-from fovconn_env.maps.files import read_entries, write_entries
-from fovconn_env.maps.outlines import checked_array, checked_length, checked_outline, convex_pieces
+from fovconn_env.maps.files import check_call, read_entries, write_entries
+from fovconn_env.maps.outlines import Short, checked_array, checked_length, checked_outline, convex_pieces
 
 LOW, HIGH = -100.0, 100.0  # m, an obstacle's height interval by default
 
@@ -82,10 +83,23 @@ class Map:
         return list(calls.values())
 
     def obstacle(self, shapes: Iterable[tuple[str, Mapping[str, Any]]]) -> Self:
-        """Add one obstacle of several shapes, each as a call: "circle", "wall" or "polygon", and its arguments."""
+        """Add one obstacle of several shapes, each as a call: "circle", "wall" or "polygon", and its arguments.
+
+        Raises `SettingError` for another shape, and for arguments that a shape does not have.
+        """
+        calls = []
+        for k, call in enumerate(shapes):
+            pair = isinstance(call, (tuple, list)) and len(call) == 2
+            rule(pair, f"shape {k} of an obstacle", "a pair of shape and arguments", Short(call), "see Map.obstacles")
+            check_call(f"shape {k} of an obstacle", *call)
+            calls.append(call)
         n_before = len(self.space.shapes)
-        for method, arguments in shapes:
-            getattr(self, method)(**arguments)
+        try:
+            for method, arguments in calls:
+                getattr(self, method)(**arguments)
+        except ValueError:
+            self.space.remove(*list(self.space.shapes)[n_before:])
+            raise
         added = list(self.space.shapes)[n_before:]
         for shape in added:
             shape.source = added[0].source

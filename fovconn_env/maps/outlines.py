@@ -30,7 +30,7 @@ def checked_array(field: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> n
     """Lengths, m, as a float array, checked. In `shape` -1 is any size; `field` is the name in errors."""
     try:
         array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = np.array(np.nan)
     if array.size == 0 and shape[0] == -1:
         array = array.reshape(0, *shape[1:])
@@ -45,7 +45,7 @@ def checked_length(field: str, value: float, *, above: float = -math.inf, least:
     """The value as a float, checked: metres, > above and >= least."""
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not abs(number) <= FAR:
         raise ValueError(f"{field} must be a finite number of at most {FAR:g}, got {value}: metres")

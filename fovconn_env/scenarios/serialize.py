@@ -16,6 +16,7 @@ from fovconn_env.errors import SettingError, rule
 from fovconn_env.maps.corridor import Corridor
 from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map
+from fovconn_env.maps.outlines import Short
 from fovconn_env.scenarios import settings
 from fovconn_env.scenarios.leader import Recorded
 from fovconn_env.scenarios.scenario import Scenario
@@ -65,10 +66,7 @@ def _built(value: Any) -> Any:
     if kind == "float":
         return _NOT_FINITE[words["value"]]
     if kind == "Map":
-        result = Map()
-        for shapes in words["obstacles"]:
-            result.obstacle(shapes)
-        return result
+        return _map(words)
     if kind not in _KINDS:
         raise SettingError(f"type must be one of {', '.join(_KINDS)}, got {kind!r}: is it of a newer fovconn_env?")
     for name, value in _GONE.get(kind, {}).items():
@@ -80,3 +78,15 @@ def _built(value: Any) -> Any:
         if name not in known:
             raise SettingError(f"{kind} has no setting {name!r}: is it of another fovconn_env?")
     return _KINDS[kind](**{name: _built(item) for name, item in words.items()})
+
+
+def _map(words: Mapping[str, Any]) -> Map:
+    """The map of a record {"obstacles": [[[shape, arguments], ...], ...]}; nothing but the known shapes is called."""
+    obstacles: Any = words.get("obstacles")
+    lists = isinstance(obstacles, list) and all(isinstance(shapes, list) for shapes in obstacles)
+    whole = list(words) == ["obstacles"] and lists
+    rule(whole, "Map", "an object with a list 'obstacles'", Short(dict(words)), "each a list of shapes")
+    result = Map()
+    for shapes in obstacles:
+        result.obstacle(shapes)
+    return result

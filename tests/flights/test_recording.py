@@ -13,6 +13,7 @@ import pytest
 
 from fovconn_env import Airframe, Course, Fault, Map, Radio, Recorded, Recorder, Simulator, scenario
 from fovconn_env.baselines import load_policy
+from fovconn_env.errors import SettingError
 from fovconn_env.files import Damaged, OtherKind
 from fovconn_env.flights.flight import fly, from_recording
 from fovconn_env.flights.recording import (
@@ -543,3 +544,23 @@ def test_bad_records_of_scenarios(case):
     change, message = BAD_RECORDS[case]
     with pytest.raises(ValueError, match=message):
         scenario_from_json(change(scenario_to_json(scenario())))
+
+
+@pytest.mark.parametrize(
+    "map_record, message",
+    [
+        ({"obstacles": [[["to_file", {"path": "precious.json"}]]]}, "shape must be one of circle, wall, polygon"),
+        ({"obstacles": [[["circle", {"center": [0, 0], "radius": 1, "path": "x"}]]]}, "a key must be one of center"),
+        ({"obstacles": [[["circle", 3]]]}, "must be an object, got 3"),
+        ({"obstacles": [["circle"]]}, "must be a pair of shape and arguments"),
+        ({"obstacles": 3}, "Map must be an object with a list 'obstacles'"),
+        ({}, "Map must be an object with a list 'obstacles'"),
+        ({"obstacles": [], "path": "x"}, "Map must be an object with a list 'obstacles'"),
+    ],
+)
+def test_a_map_in_a_record_is_data(map_record, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "precious.json").write_text("precious")
+    with pytest.raises(SettingError, match=message):
+        scenario_from_json(scenario_to_json(scenario()) | {"map": {"type": "Map", **map_record}})
+    assert (tmp_path / "precious.json").read_text() == "precious"

@@ -285,3 +285,29 @@ def test_forest_refuses_bad_settings(settings, message):
 def test_forest_refuses_bad_places(call, message):
     with pytest.raises(ValueError, match=message):
         Forest().generate(np.random.default_rng(0), *call)
+
+
+PILLAR = ("circle", {"center": [0.0, 0.0], "radius": 1.0})
+
+
+@pytest.mark.parametrize(
+    "shapes, message",
+    [
+        ([("to_file", {"path": "precious.json"})], r"shape 0 of an obstacle: shape must be one of circle.*'to_file'"),
+        ([PILLAR, ("from_file", {"path": "x"})], "shape 1 of an obstacle: shape must be one of circle, wall, polygon"),
+        ([("__init__", {})], "must be one of circle, wall, polygon, got '__init__'"),
+        ([("circle", {**PILLAR[1], "path": "x"})], r"\(circle\): a key must be one of center, radius, low, high"),
+        ([("circle", {"center": [0.0, 0.0]})], "must be an object with the key 'radius'"),
+        ([("circle", [0.0, 1.0])], r"\(circle\) must be an object, got \[0.0, 1.0\]"),
+        (["circle"], "must be a pair of shape and arguments, got 'circle'"),
+        ([PILLAR, ("circle", {"center": [0.0, 0.0], "radius": 10**400})], "must be a finite number of at most 1e"),
+    ],
+)
+def test_an_obstacle_calls_known_shapes_only(shapes, message, tmp_path, monkeypatch):
+    """Data names no other method of Map; and a call that fails adds nothing."""
+    monkeypatch.chdir(tmp_path)
+    result = Map()
+    with pytest.raises(ValueError, match=message):
+        result.obstacle(shapes)
+    assert result.obstacles() == []
+    assert list(tmp_path.iterdir()) == []
