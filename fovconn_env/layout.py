@@ -133,7 +133,7 @@ INFO = (
     Column("connected", "0/1", "-", 0.0, 1.0, "true lambda2 > lambda2_min"),
     Column("n_edges", "links", "-", 0.0, "inf", "links with A_ij > 0 in the team"),
     Column("min_distance", "m", "-", 0.0, "inf", "least distance to another robot's centre"),
-    Column("clearance", "m", "-", 0.0, "inf", "least distance to an obstacle, 1e3 where there is none"),
+    Column("clearance", "m", "-", 0.0, "inf", "least distance to an obstacle, floor or ceiling, at most 1e3"),
     Column("yaw_error", "rad", "-", 0.0, np.pi, "largest error of its valid relative-yaw estimates"),
     Column("success", "0/1", "-", 0.0, 1.0, "the course is finished"),
     Column("collision", "0/1", "-", 0.0, 1.0, "a collision ended the episode"),

@@ -405,8 +405,13 @@ def nearest_on_wall(p, start, end, radius, low, high):
     return nearest_on_pillar(p, foot, radius, low, high)
 
 
+def nearest_on_level(p, z):
+    """Nearest point of the floor or the ceiling at the height z."""
+    return np.array([p[0], p[1], z])
+
+
 def range_points(i, team, surface_points, radius, range_max, count):
-    """Nearest points within range, (n, 3) in i's yaw frame, nearest first: one per obstacle, one per other robot."""
+    """Nearest points in range, (n, 3) in i's yaw frame, nearest first: one an obstacle and level, one a robot."""
     me, found = team[i], []
     for j, other in enumerate(team):
         if j != i:

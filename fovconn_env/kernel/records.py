@@ -77,7 +77,7 @@ BODY = _record(
         *_numbers("axis_x axis_y axis_z"),  # optical axis in the yaw frame, tilted
         *_numbers("command_vx command_vy command_vz command_yaw_rate"),  # yaw frame, saturated
         *_numbers("nearest"),  # m, least distance of centres to another robot at this tick
-        *_numbers("clearance"),  # m, least distance to an obstacle at this tick
+        *_numbers("clearance"),  # m, least distance to an obstacle, floor or ceiling at this tick
         # what works at this tick; of a dead robot nothing does
         *((name, "b1") for name in "alive sees talks".split()),  # robot, camera, radio
     ]

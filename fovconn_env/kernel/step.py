@@ -10,7 +10,7 @@ from __future__ import annotations
 from fovconn_env import layout
 from fovconn_env.kernel.jit import entry, kernel, stage, view
 from fovconn_env.kernel.maths import random
-from fovconn_env.kernel.maths.geometry import clearance
+from fovconn_env.kernel.maths.geometry import clearance, headroom
 from fovconn_env.kernel.onboard import power_iteration, relative_yaw, robot
 from fovconn_env.kernel.onboard.messages import Message, Outbox, Round
 from fovconn_env.kernel.onboard.power_iteration import set_estimate
@@ -230,10 +230,11 @@ def update_faults(state, faults, b, now, p):
 
 @kernel
 def detect_collisions(bodies, piece, vertex, episode, p):
-    """Detect collisions between robots and with obstacles."""
+    """Detect collisions between robots and with obstacles, floor and ceiling."""
     for i in range(bodies.shape[0]):
         body = bodies[i]
-        body.clearance = clearance(body.x, body.y, body.z, piece, vertex)
+        below, above = headroom(body.z, p)
+        body.clearance = min(clearance(body.x, body.y, body.z, piece, vertex), below, above)
         if body.nearest < p.collision_robot or body.clearance < p.collision_obstacle:
             episode.collision = True
 

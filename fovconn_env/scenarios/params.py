@@ -59,6 +59,8 @@ def _values(scenario: Any) -> dict[str, Any]:
     for name, words in SWITCHES.items():
         word = getattr(scenario, name)
         values[name] = len(words) if isinstance(word, Recorded) else words.index(word)
+    values["floor"] = -math.inf if scenario.floor is None else float(scenario.floor)
+    values["ceiling"] = math.inf if scenario.ceiling is None else float(scenario.ceiling)
     values |= _numbers(scenario, "")
     for item in dataclasses.fields(scenario):
         group = getattr(scenario, item.name)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
+import numbers
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -68,7 +69,9 @@ class Scenario:
     lambda2_max: float = positive(3.01)
     patience: float = non_negative(0.0, infinite=True)  # s the team may be split
     collision_robot: float = positive(0.5)  # m between centres; robots are spheres of half of it
-    collision_obstacle: float = positive(0.25)  # m from a centre
+    collision_obstacle: float = positive(0.25)  # m from a centre, to an obstacle, floor or ceiling
+    floor: float | None = None  # m, height of the ground; z = 0 is the middle of Start.box; None: there is none
+    ceiling: float | None = None  # m, height of the ceiling; None: there is none
     clock: Clock = field(default_factory=Clock)
     camera: Camera = field(default_factory=Camera)
     rangefinder: Rangefinder = field(default_factory=Rangefinder)
@@ -103,6 +106,7 @@ class Scenario:
         hint = "robots would collide before they may meet"
         apart = self.start.spacing > self.collision_robot
         rule(apart, "Start.spacing", f"above collision_robot ({self.collision_robot:g})", self.start.spacing, hint)
+        self._check_heights()
         self._check_faults()
         if isinstance(self.leader, Recorded):
             speed = np.linalg.norm(self.leader.sticks, axis=1).max(initial=0.0)
@@ -118,6 +122,16 @@ class Scenario:
         if isinstance(self.map, Map):  # a Map can be added to, a scenario is frozen
             object.__setattr__(self, "map", copy.copy(self.map))
 
+    def _check_heights(self) -> None:
+        for name in ("floor", "ceiling"):
+            check_height(f"Scenario.{name}", getattr(self, name))
+        (low, high), half = self.heights, self.start.box[2] / 2
+        hint = f"robots start between them, {self._margin:g} m from both (Start.clearance)"
+        rule(low <= high, "Scenario.floor", f"{2 * self._margin:g} m below ceiling ({self.ceiling})", self.floor, hint)
+        hint = f"z = 0 is the middle of Start.box, whose robots start {self._margin:g} m away (Start.clearance)"
+        rule(low <= half, "Scenario.floor", f"at most {half - self._margin:g}", self.floor, hint)
+        rule(high >= -half, "Scenario.ceiling", f"at least {self._margin - half:g}", self.ceiling, hint)
+
     def _check_faults(self) -> None:
         if not isinstance(self.faults, tuple) or not all(isinstance(fault, Fault) for fault in self.faults):
             hint = "write faults=(Fault(...),)"
@@ -130,6 +144,17 @@ class Scenario:
     def step_time(self) -> float:
         """Duration of a step, s."""
         return self.clock.tick * self.clock.ticks
+
+    @property
+    def _margin(self) -> float:
+        """Least distance of starts and way points to floor and ceiling, m."""
+        return max(self.start.clearance, self.collision_obstacle)
+
+    @property
+    def heights(self) -> tuple[float, float]:
+        """Lowest and highest z of starts and way points between floor and ceiling, m; infinite without."""
+        low = -math.inf if self.floor is None else self.floor + self._margin
+        return low, math.inf if self.ceiling is None else self.ceiling - self._margin
 
     @property
     def agents(self) -> list[str]:
@@ -165,6 +190,16 @@ GROUPS: dict[str, type] = {
     for item in dataclasses.fields(Scenario)
     if isinstance(item.default_factory, type) and dataclasses.is_dataclass(item.default_factory)
 }
+
+
+def check_height(field: str, value: object) -> None:
+    """`SettingError` unless a value is None or a height within 1000 m of the start."""
+    if value is None:
+        return
+    if not isinstance(value, numbers.Real) or isinstance(value, bool):
+        raise SettingTypeError(f"{field} must be a number or None, got {value!r}: metres, None is none at all")
+    says, hint = "finite and within -1000..1000", "metres from the middle of the start; None is none at all"
+    rule(-1000.0 <= float(value) <= 1000.0, field, says, value, hint)
 
 
 def check_group(name: str, value: object) -> None:

@@ -24,6 +24,7 @@ from fovconn_env.scenarios.scenario import Scenario
 _GROUPS = [kind for kind in vars(settings).values() if dataclasses.is_dataclass(kind) and isinstance(kind, type)]
 _KINDS: dict[str, type] = {kind.__name__: kind for kind in (Scenario, Forest, Corridor, Recorded, *_GROUPS)}
 _GONE = {"YawEstimator": {"lag_free": False}}  # settings of 0.1.0, and what they must be
+_LATER = ("floor", "ceiling")  # left out while None, so that a record without them is that of earlier versions
 _NOT_FINITE = {"inf": math.inf, "-inf": -math.inf}
 
 
@@ -45,7 +46,8 @@ def _plain(value: Any) -> Any:
         return {"type": "Map", "obstacles": value.obstacles()}
     if dataclasses.is_dataclass(value):
         fields = {item.name: _plain(getattr(value, item.name)) for item in dataclasses.fields(value)}
-        return {"type": type(value).__name__, **fields}
+        kept = {name: field for name, field in fields.items() if name not in _LATER or field is not None}
+        return {"type": type(value).__name__, **kept}
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, (tuple, list)):

@@ -72,6 +72,7 @@ class StartSampler:
             placed = check_poses(poses, scenario) if poses is not None else self._draw_poses(rng, None)
             if placed is None:
                 return None
+            check_clearance(placed, None, scenario)
             waypoints = self._draw_course(rng, placed)
             if scenario.map is None:
                 return self._make_start(placed, waypoints, None)
@@ -96,11 +97,12 @@ class StartSampler:
         )
 
     def _draw_poses(self, rng: np.random.Generator, obstacles: Map | None) -> np.ndarray | None:
-        start, n = self.scenario.start, self.scenario.n_agents
-        sides = np.array(start.box) * [math.sqrt(n / 6), math.sqrt(n / 6), 1.0]
+        (x, y, z), n = self.scenario.start.box, self.scenario.n_agents
+        low, high = max(-z / 2, self.scenario.heights[0]), min(z / 2, self.scenario.heights[1])
+        sides = np.array([x * math.sqrt(n / 6), y * math.sqrt(n / 6), high - low])
         for _ in range(MAX_TRIES):
             poses = np.empty((n, 4))
-            poses[:, :3] = (rng.random((n, 3)) - 0.5) * sides
+            poses[:, :3] = (rng.random((n, 3)) - 0.5) * sides + [0.0, 0.0, (low + high) / 2]
             poses[:, 3] = rng.uniform(-np.pi, np.pi, n)
             if self._is_valid(poses, obstacles):
                 return poses
@@ -138,7 +140,10 @@ class StartSampler:
             return np.zeros((0, 3))
         point, heading, points = poses[self.scenario.leader_index, :3], rng.uniform(-np.pi, np.pi), []
         for _ in range(course.legs):
-            climb = rng.uniform(-course.climb, course.climb)
+            least, most = (
+                min(max((z - point[2]) / course.leg, -course.climb), course.climb) for z in self.scenario.heights
+            )
+            climb = rng.uniform(least, most)
             horizontal = math.sqrt(1.0 - climb * climb)
             point = point + course.leg * np.array(
                 [horizontal * math.cos(heading), horizontal * math.sin(heading), climb]
@@ -235,11 +240,16 @@ def check_start(start: EpisodeStart, scenario: Scenario) -> EpisodeStart:
     return start._replace(poses=poses, waypoints=waypoints, vertices=vertices)
 
 
-def check_clearance(poses: np.ndarray, obstacles: Map, scenario: Scenario) -> None:
-    """Raise `ValueError` if a robot at poses (N, 4) touches an obstacle."""
-    distance = obstacles.clearance(poses[:, :3])
-    if distance.min() < scenario.collision_obstacle:
-        raise ValueError(
-            f"poses must keep {scenario.collision_obstacle:g} m from obstacles, got {distance.min():.3g} m for "
-            f"uav_{distance.argmin()}: nearer counts as a collision"
-        )
+def check_clearance(poses: np.ndarray, obstacles: Map | None, scenario: Scenario) -> None:
+    """Raise `ValueError` if a robot at poses (N, 4) touches an obstacle, the floor or the ceiling."""
+    distances = {"obstacles": obstacles.clearance(poses[:, :3])} if obstacles is not None else {}
+    if scenario.floor is not None:
+        distances[f"the floor at {scenario.floor:g} m"] = poses[:, 2] - scenario.floor
+    if scenario.ceiling is not None:
+        distances[f"the ceiling at {scenario.ceiling:g} m"] = scenario.ceiling - poses[:, 2]
+    for what, distance in distances.items():
+        if distance.min() < scenario.collision_obstacle:
+            raise ValueError(
+                f"poses must keep {scenario.collision_obstacle:g} m from {what}, got {distance.min():.3g} m for "
+                f"uav_{distance.argmin()}: nearer counts as a collision"
+            )

@@ -503,6 +503,7 @@ SCENARIOS = {
     **{f"{n} {k}": lambda n=n, k=k: scenario(n, level=k) for n in LEVELS for k in range(2, 2 + len(LEVELS[n]))},
     **{case: lambda case=case: settings_of(case) for case in CASES},
     "numpy": lambda: scenario(n_agents=np.int64(3), speed_limit=np.float64(1.25), course=Course(leg=np.float32(4.1))),
+    "levels": lambda: scenario(floor=-2, ceiling=np.float32(4.3)),
     "whole": lambda: scenario(speed_limit=2, patience=math.inf),
 }
 
@@ -518,6 +519,10 @@ def test_a_scenario_survives_json(case):
     if isinstance(mine.map, Map):
         for a, b in zip(back.map.flatten(), mine.map.flatten(), strict=True):
             assert a.tobytes() == b.tobytes()
+
+
+def test_a_record_without_floor_and_ceiling_is_that_of_earlier_versions():
+    assert {"floor", "ceiling"}.isdisjoint(scenario_to_json(scenario()))
 
 
 def test_a_setting_that_is_gone_may_be_off():

@@ -390,3 +390,25 @@ def test_scan(count):
             assert (got[len(points) :] == 0).all()
             found += len(points)
     assert found > few(200, 50)
+
+
+@pytest.mark.parametrize("levels", [{"floor": -1.75}, {"ceiling": 1.75}, {"floor": -2.5, "ceiling": 2.25}])
+def test_scan_of_floor_and_ceiling(levels):
+    """Their nearest points are straight below and above; of a robot beyond them they are at no distance."""
+    rng, found = np.random.default_rng(12), 0
+    scenario = small(**levels)
+    for _ in range(few(60, 30)):
+        team = draw_team(rng, 5, box=(9, 9, 7))
+        bodies = bodies_of(team, scenario.camera)
+        rows = np.full((len(team), 8), np.nan, layout.record(layout.RANGE, "f8"))
+        scan(bodies, *NOTHING, rows, EPISODE, scenario.params())
+        for i, me in enumerate(team):
+            surface = [ref.nearest_on_level(me.p, z) for z in levels.values()]
+            beyond = [point - me.p for point in surface if (point - me.p)[2] * point[2] < 0]
+            inside = [point for point in surface if (point - me.p)[2] * point[2] >= 0]
+            points = np.array([*beyond, *ref.range_points(i, team, inside, 0.25, 3.5, 8)]).reshape(-1, 3)
+            got = np.stack([rows[i][axis] for axis in "xyz"], axis=-1)
+            assert (rows[i]["present"] == (np.arange(8) < len(points))).all()
+            np.testing.assert_allclose(got[: len(points)], points, rtol=0, atol=1e-12)
+            found += len(beyond) + sum(np.linalg.norm(point - me.p) < 3.5 for point in inside)
+    assert found > few(200, 50)

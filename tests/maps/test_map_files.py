@@ -402,3 +402,6 @@ def test_examples_stand_and_come_back(name, tmp_path):
     found = Map.from_file(YARD / name)
     assert repr(found) == "<Map of 6 obstacles>"
     assert round_trip(found, tmp_path) == found
+    feet = found.flatten()[0]["low"]
+    assert feet.max() <= -2.0  # the floor with which docs/maps.md flies them
+    assert feet.max() <= -scenario().start.box[2] / 2  # also without it nobody starts below a foot

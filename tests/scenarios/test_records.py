@@ -106,7 +106,7 @@ def changed(value):
 
 def in_params(group, name):
     """Which columns of the record change when one setting does."""
-    plain = Scenario(max_cycles=50)
+    plain = Scenario(max_cycles=50, floor=-50.0, ceiling=50.0)
     if group:
         part = getattr(plain, group)
         other = dataclasses.replace(plain, **{group: dataclasses.replace(part, **{name: changed(getattr(part, name))})})

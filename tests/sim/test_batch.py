@@ -25,6 +25,8 @@ ROUGH = {
     "radio": Radio(loss=0.1),
     "airframe": Airframe(rotor_noise=0.02, force_noise=0.3),
     "dynamics": "quadrotor",
+    "floor": -3.0,
+    "ceiling": 3.5,
     "faults": tuple(Fault(kind=kind, at=(0.2, 2.0), lasts=0.5) for kind in ("camera", "radio", "robot")),
 }
 CASES = {**{name: (name, {}) for name in PRESETS}, "rough": ("LeaderObstacles-v0", ROUGH)}

@@ -98,6 +98,37 @@ def test_a_robot_collides_with_an_obstacle(obstacle, start, velocity):
     assert len(episodes) > 10
 
 
+@pytest.mark.parametrize("dynamics", ["kinematic", "quadrotor"])
+@pytest.mark.parametrize("level, sign", [("floor", -1.0), ("ceiling", 1.0)])
+def test_a_robot_collides_with_floor_and_ceiling(level, sign, dynamics):
+    """Pushed down, or up, at 1 m/s for 20 s a robot ends 0.25 m from it; it sees the point that it hits."""
+    simulator = begin([[0.0, 0.0, 0.0, 0.5], [4.0, 0.0, 0.0, math.pi]], dynamics=dynamics, **{level: sign * 3.0})
+    push(simulator, [(0, 0, sign), (0, 0, 0)])
+    heights = [simulator.poses()[0, 0, 2]]
+    while not simulator.over[0] and len(heights) < 20.0 / STEP:
+        free = sign * (sign * 3.0 - simulator.poses()[0, :, 2])
+        np.testing.assert_allclose(simulator.infos[0]["clearance"], free, rtol=0, atol=1e-12)
+        rows = simulator.state.range_row[0, 0]
+        np.testing.assert_allclose(
+            [rows[a][0] for a in ("present", "x", "y", "z")], [1, 0, 0, sign * free[0]], atol=1e-6
+        )
+        push(simulator, [(0, 0, sign), (0, 0, 0)])
+        heights.append(simulator.poses()[0, 0, 2])
+    assert outcome(simulator) == ["collision"]
+    assert abs(heights[-2]) <= 2.75 < abs(heights[-1]) < 2.75 + 1.5 * STEP
+    if dynamics == "kinematic":
+        assert len(heights) == math.ceil((2.75 + 0.01) / STEP)
+
+
+def test_without_a_floor_a_robot_sinks_for_ever():
+    simulator = begin(max_cycles=1000)
+    for _ in range(400):
+        push(simulator, (0, 0, -1))
+    assert not simulator.over[0]
+    np.testing.assert_allclose(simulator.poses()[0, :, 2], -20.0)
+    assert (simulator.infos[0]["clearance"] == 1e3).all()
+
+
 def test_given_poses_at_the_limit_are_no_collision():
     simulator = begin([[0.0, 0.0, 0.0, 0.0], [0.5, 0.0, 0.0, 0.0]])
     assert not still(simulator)["collision"]

@@ -132,6 +132,16 @@ def random_task(rng):
     )
 
 
+def between_levels(rng, task):
+    """The same task, half of the time with a floor, a ceiling or both, which may cut into the box of the starts."""
+    reach, margin = task.start.box[2] / 2, max(task.start.clearance, task.collision_obstacle)
+    floor, ceiling = rng.uniform(margin - reach, margin + 3.0, 2)
+    if floor + ceiling < 2 * margin or rng.random() < 0.5:
+        return task
+    chosen = rng.permutation(["floor", "ceiling"])[: rng.integers(1, 3)]
+    return scenario(task, **{level: {"floor": -floor, "ceiling": ceiling}[level] for level in chosen})
+
+
 def most_draws(task):
     """Numbers that a start may take at most."""
     course = 1 + 3 * task.course.legs
@@ -146,7 +156,8 @@ def most_draws(task):
 def check(seed):
     """Draw one start; is there one? Raises AssertionError if it breaks a rule."""
     rng = np.random.default_rng([seed, 5])
-    task, counting = random_task(rng), Counting(seed)
+    task = between_levels(rng, random_task(rng))
+    counting = Counting(seed)
     found, said = None, KNOWN[0]
     try:
         found = starts.StartSampler(task).draw(counting)
@@ -160,6 +171,11 @@ def check(seed):
     apart = np.linalg.norm(centers[:, None] - centers, axis=-1)[np.triu_indices(len(centers), 1)]
     assert apart.min() >= task.start.spacing - 1e-9
     assert (clearances(points, found.pieces, found.vertices) >= task.start.clearance - 1e-9).all()
+    low, high = points[:, 2].min(), points[:, 2].max()
+    assert task.floor is None or low >= task.floor + max(task.start.clearance, task.collision_obstacle) - 1e-9
+    assert task.ceiling is None or high <= task.ceiling - max(task.start.clearance, task.collision_obstacle) + 1e-9
+    legs = np.diff(np.vstack([centers[task.leader_index], found.waypoints]), axis=0)
+    np.testing.assert_allclose(np.linalg.norm(legs, axis=-1), task.course.leg)
     assert len(found.waypoints) == (task.course.legs if task.leader == "waypoints" else 0)
     if isinstance(task.map, Forest):
         assert (gaps(found.pieces, found.vertices) >= task.map.gap - 1e-9).all()
@@ -199,6 +215,28 @@ def test_what_leaves_no_room_ends_soon(changes, message, monkeypatch):
     with pytest.raises(ValueError, match=message):
         starts.StartSampler(task).draw(counting)
     assert counting.count <= most_draws(task)
+
+
+# ------------------------------------------------------------------------------------------------- floor and ceiling
+@pytest.mark.parametrize("map", [None, Map().circle((9, 9), 0.5)])
+@pytest.mark.parametrize("z, level", [(-2.0, "the floor at -2 m"), (2.4, "the ceiling at 2.5 m")])
+def test_given_poses_keep_off_floor_and_ceiling(z, level, map):
+    simulator = Simulator(small(floor=-2.0, ceiling=2.5, map=map))
+    poses = np.array([[3.0 * i, 0.0, 0.0, 0.0] for i in range(4)])
+    simulator.reset(1, poses=poses)
+    poses[2, 2] = z
+    with pytest.raises(ValueError, match=f"poses must keep 0.25 m from {level}, got 0?.* m for uav_2: nearer counts"):
+        simulator.reset(1, poses=poses)
+
+
+def test_from_given_poses_the_course_leads_to_where_starts_may_be():
+    task = small(floor=-2.0, **{"course.legs": 3, "course.climb": 0.1, "course.leg": 10.0})
+    simulator, poses = Simulator(task), np.array([[3.0 * i, 0.0, -1.75, 0.0] for i in range(4)])
+    for seed in range(20):
+        simulator.reset(seed, poses=poses)
+        first, *later = simulator.world.waypoint[0, :, 2]
+        assert first == pytest.approx(-0.75)  # 1 m higher, as steep as `climb` allows
+        assert min(later) >= -0.5
 
 
 # ----------------------------------------------------------------------------------------------- starts drawn elsewhere

@@ -48,6 +48,12 @@ def clearance(x, y, z, pieces, vertices):
 
 
 @kernel
+def headroom(z, p):
+    """Distances to the floor and to the ceiling, negative beyond, inf where there is none: (below, above)."""
+    return z - p.floor, p.ceiling - z
+
+
+@kernel
 def sight_blocked(ax, ay, az, bx, by, bz, pieces, vertices):
     """Whether the straight line from a to b meets any prism of one world. pieces (P,) PIECE; vertices (V, 2)."""
     for k in range(len(pieces)):

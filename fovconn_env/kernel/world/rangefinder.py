@@ -8,12 +8,15 @@ import numpy as np
 
 from fovconn_env.kernel.jit import kernel
 from fovconn_env.kernel.maths import random
-from fovconn_env.kernel.maths.geometry import nearest_on_piece
+from fovconn_env.kernel.maths.geometry import headroom, nearest_on_piece
 
 
 @kernel
 def scan(bodies, i, piece, vertex, rows, episode, p):
-    """Fill robot i's range rows, (K,) RANGE in its yaw frame: one point per obstacle and per robot, nearest first."""
+    """Fill robot i's range rows, (K,) RANGE in its yaw frame: nearest first.
+
+    One point per robot, per obstacle, of the floor and of the ceiling. Each has a number of its own for the noise.
+    """
     for k in range(rows.shape[0]):
         if rows[k].present == 0.0:
             break  # used rows stand first
@@ -37,6 +40,9 @@ def scan(bodies, i, piece, vertex, rows, episode, p):
         if k == piece.shape[0] or piece[k].count == 0 or piece[k].source != piece[k - 1].source:
             _add_point(rows, me, (bx, by, bz, max(best, 0.0)), (i << 12) + n + piece[k - 1].source, episode, p)
             best = math.inf
+    below, above = headroom(me.z, p)
+    _add_point(rows, me, (0.0, 0.0, -below, max(below, 0.0)), (i << 12) + 4094, episode, p)
+    _add_point(rows, me, (0.0, 0.0, above, max(above, 0.0)), (i << 12) + 4095, episode, p)
 
 
 @kernel
