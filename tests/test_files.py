@@ -15,6 +15,7 @@ from fovconn_env.files import (
     Kind,
     OtherKind,
     read_archive,
+    read_json,
     replacing,
     write_archive,
     write_files,
@@ -127,6 +128,56 @@ def test_other_files_and_damage_are_told_apart(tmp_path, change, kind, error, me
     place.write_bytes(change(place.read_bytes()))
     with pytest.raises(error, match=message):
         read_archive(place, kind)
+
+
+def test_what_shrinks_too_well_to_be_read_is_not_compressed(tmp_path, monkeypatch):
+    """Robots that stand still: the same numbers all along."""
+    still, place = Archive({}, {"a": np.zeros(20_000)}), tmp_path / "a.npz"
+    write_archive(place, KIND, still)
+    assert place.stat().st_size < 1000
+    monkeypatch.setattr("fovconn_env.npz.ALWAYS", 0)
+    with pytest.raises(Damaged, match=r"bytes that declare arrays of 160\d\d\d bytes, more than"):
+        read_archive(place, KIND)
+    write_archive(place, KIND, still)
+    assert place.stat().st_size > 160_000
+    same(read_archive(place, KIND), still)
+
+
+@pytest.mark.parametrize("flip", [0, 3, 31])
+def test_a_flipped_bit_where_the_kind_stands_is_damage(tmp_path, flip):
+    place = tmp_path / "a.npz"
+    write_archive(place, KIND, ARCHIVE)
+    data = bytearray(place.read_bytes())
+    data[flip] ^= 4
+    place.write_bytes(data)
+    with pytest.raises(Damaged, match="is damaged or not complete"):
+        read_archive(place, KIND)
+
+
+@pytest.mark.parametrize("read", [lambda place: read_archive(place, KIND), lambda place: read_json(place, "card", 10)])
+def test_what_is_no_file_is_said_at_once(tmp_path, read):
+    """A pipe, which nobody writes to, and a device without an end."""
+    pipe = tmp_path / "pipe[2J.npz"
+    os.mkfifo(pipe)
+    for place in (pipe, Path("/dev/zero"), tmp_path):
+        with pytest.raises(OtherKind, match="it is a folder, a pipe or a device, not a file") as problem:
+            read(place)
+        assert str(problem.value).isprintable()
+
+
+def test_json_files_have_limits(tmp_path):
+    place = tmp_path / "a.json"
+    for text, error, message in (
+        ("[1, 2, 3, 4]", OtherKind, "is no card: it has 12 bytes, more than 10"),
+        ("[1,", Damaged, "is no card, or damaged: Expecting value"),
+        ("[NaN]", Damaged, "NaN is no number"),
+        (r'"\ud800"', Damaged, "surrogates not allowed"),
+    ):
+        place.write_text(text)
+        with pytest.raises(error, match=message):
+            read_json(place, "card", 10)
+    place.write_text("[1, 2.5]")
+    assert read_json(place, "card", 10) == [1, 2.5]
 
 
 def test_another_header_or_array_is_damage(tmp_path):
