@@ -64,6 +64,16 @@ def test_the_page_holds_the_flight(page):
     assert all(held["floor"] <= block["low"] < block["high"] <= top for block in held["obstacles"])
 
 
+def test_floor_and_ceiling_are_in_the_page(tmp_path):
+    """The ground is the floor, obstacles end between both, and the line under the name has their heights."""
+    hall = FLIGHT._replace(scenario=scenario(FLIGHT.scenario, floor=-2.25, ceiling=1.75))
+    held = settings(hall)
+    assert (held["floor"], held["ceiling"]) == (-2.25, 1.75)
+    assert {(block["low"], block["high"]) for block in held["obstacles"]} == {(-2.25, 1.75)}
+    assert "after 4.0 s · floor -2.25 m · ceiling 1.75 m" in write_page(hall, tmp_path / "a.html").read_text("utf-8")
+    assert settings(FLIGHT)["ceiling"] is None
+
+
 def test_it_needs_nothing_from_outside(page):
     text, libraries = page.read_text("utf-8"), (WEB / "libraries.js").read_text("utf-8")
     without = text.replace(libraries, "")
@@ -248,6 +258,14 @@ def test_links_show_who_sees_whom(show):
         shown.evaluate(f"(s => {{ s.value = '{robot}'; s.onchange(); }})(document.getElementById('linked'))")
         seek(shown, 2.5)
         assert shown.evaluate("player.view.tubes.count") == links
+
+
+def test_floor_and_ceiling_are_grids_of_lines(show):
+    shown = show(changes={"scenario": scenario(FLIGHT.scenario, floor=-2.0, ceiling=3.0)})
+    lines = "player.view.scene.children.filter(part => part.isLineSegments && part.geometry.boundingBox === null)"
+    heights = shown.evaluate(f"{lines}.map(part => part.geometry.attributes.position.array[2])")
+    assert [z for z in heights if z not in (0.0, -1.0)] == [-2.0, 3.0]  # the others are plumb lines of the robots
+    assert shown.evaluate("player.view.robots[0].plumb.scale.z") == pytest.approx(2.0)
 
 
 def test_dead_robots_numbers_and_leaders_change_in_time(show):

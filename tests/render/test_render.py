@@ -103,6 +103,18 @@ def test_trajectories_have_a_dot_every_five_seconds(draw):
     assert sum(line.get_marker() == "*" for line in lines) == 2
 
 
+def test_figure_4_stands_on_the_floor_and_ends_at_the_ceiling(flight):
+    hall = flight._replace(scenario=scenario(flight.scenario, floor=-2.0, ceiling=4.0))
+    figure = draw_trajectories(hall)
+    assert figure.axes[0].get_zlim() == (-2.0, 4.0)
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert words[-2:] == ["floor, -2 m", "ceiling, 4 m"]
+    far = draw_trajectories(flight._replace(scenario=scenario(flight.scenario, floor=-30.0)))
+    plain = draw_trajectories(flight)
+    assert far.axes[0].get_zlim() == plain.axes[0].get_zlim()
+    assert len(far.legends[0].get_texts()) == len(plain.legends[0].get_texts()) == len(words) - 2
+
+
 def test_figure_6_shows_the_truth_the_estimates_and_when_the_operator_pushes(flight):
     above, below = draw_connectivity(flight).axes
     for axes in (above, below):

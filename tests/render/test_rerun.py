@@ -13,6 +13,7 @@ from fovconn_env.scenarios.presets import scenario
 from tests.made_flight import make_flight
 
 FLIGHT = make_flight(obstacles=True)._replace(tilt=np.full((81, 3, 2), (0.1, -0.2)))
+FLIGHT = FLIGHT._replace(scenario=scenario(FLIGHT.scenario, floor=-2.0, ceiling=1.75))
 FLIGHT.alive[20:60, 1] = False
 AGENTS = FLIGHT.scenario.agents
 
@@ -43,7 +44,9 @@ def test_errors(tmp_path, monkeypatch):
 def test_obstacles_are_closed_meshes_within_the_picture():
     corners, triangles = prisms(FLIGHT)
     heights = np.concatenate([FLIGHT.poses[..., 2].ravel(), FLIGHT.waypoints[:, 2]])
-    assert heights.min() - 1.0 <= corners[:, 2].min() < corners[:, 2].max() <= heights.max() + 1.0
+    assert (corners[:, 2].min(), corners[:, 2].max()) == (-2.0, 1.75)  # floor and ceiling
+    free = prisms(FLIGHT._replace(scenario=scenario(FLIGHT.scenario, floor=None, ceiling=None)))[0]
+    assert heights.min() - 1.0 <= free[:, 2].min() < free[:, 2].max() <= heights.max() + 1.0
     assert set(np.unique(triangles)) == set(range(len(corners)))
     a, b, c = corners[triangles].swapaxes(0, 1)
     roofs = (np.ptp(corners[triangles][..., 2], axis=1) == 0).nonzero()[0]
@@ -69,6 +72,16 @@ def test_poses_are_transforms_and_the_stick_is_the_leaders(columns):
         np.testing.assert_allclose(turns, attitudes(FLIGHT.poses[:, i, 3], FLIGHT.tilt[:, i]), atol=1e-6)
     for name, wanted in (("origins", FLIGHT.poses[:, 0, :3]), ("vectors", 2.0 * FLIGHT.stick)):
         np.testing.assert_allclose(np.array(columns["world/stick", f"Arrows3D:{name}"])[:, 0], wanted, atol=1e-5)
+
+
+@pytest.mark.parametrize("name, height", [("floor", -2.0), ("ceiling", 1.75)])
+def test_floor_and_ceiling_are_lines(columns, name, height):
+    (strips,) = columns[f"world/{name}", "LineStrips3D:strips"]
+    lines = np.array(strips)
+    assert (lines[..., 2] == height).all()
+    low, high = FLIGHT.poses[..., :2].min((0, 1)), FLIGHT.poses[..., :2].max((0, 1))
+    assert (lines[..., :2].min((0, 1)) < low).all()
+    assert (lines[..., :2].max((0, 1)) > high).all()
 
 
 def test_the_dead_are_grey_and_blind(columns):

@@ -14,6 +14,7 @@ import fovconn_env
 from fovconn_env.kernel.maths.geometry import tilt
 from fovconn_env.maps.obstacles import Map
 from fovconn_env.render import shapes3d
+from fovconn_env.render.levels import levels_of
 from fovconn_env.render.live import pixels, projection, strokes
 from fovconn_env.render.live.alarm import HOLD, Alarm, notices, weak_links
 from fovconn_env.render.live.history import SPAN, History
@@ -136,6 +137,20 @@ def test_blocks_stand_between_floor_and_top():
     assert shapes3d.blocks(*Map().flatten(), -1.0, 2.0).walls.shape == (0, 4, 3)
 
 
+@pytest.mark.parametrize(
+    "settings, wanted",
+    [
+        ({}, (-3.0, 4.0, None, None)),
+        ({"floor": -2.5}, (-2.5, 4.0, -2.5, None)),
+        ({"floor": -2.5, "ceiling": 3.5}, (-2.5, 3.5, -2.5, 3.5)),
+        ({"ceiling": 9}, (-3.0, 4.0, None, 9.0)),
+        ({"floor": -50, "ceiling": 50}, (-3.0, 4.0, None, None)),  # out of sight
+    ],
+)
+def test_levels_are_those_of_the_scenario_in_sight(settings, wanted):
+    assert levels_of(scenario(**settings), np.array([0.0, 3.0, -1.6])) == wanted
+
+
 # ------------------------------------------------------------------------------------------------------ warnings
 def test_a_link_that_matters_and_fades_is_told():
     """A chain 1-2-3 in which 2-3 fades; a warning stays long enough to be read."""
@@ -191,6 +206,23 @@ def test_picture_follows_the_world_and_leaves_it_alone():
     assert (view.draw_array(simulator) != later).any(axis=-1).mean() > 0.01
     simulator.reset(3)
     assert np.array_equal(View(simulator.scenario).draw_array(simulator), first), "a picture shows the world alone"
+
+
+def test_the_grid_lies_on_the_floor_and_another_at_the_ceiling():
+    """From the same place, straight ahead: the robots' shadows fall as deep as the floor, and lines appear overhead."""
+    poses = np.array([[2.0 * i, 0.0, 0.0, 0.0] for i in range(6)])
+    settings = ViewSettings(elevation=0.12, distance=14.0, cones=False, trails=False, above=False)
+    shown = {}
+    for name, levels in {"none": {}, "deep": {"floor": -3.0}, "hall": {"floor": -3.0, "ceiling": 3.0}}.items():
+        simulator = started(poses=poses, leader="none", **levels)
+        world = world_of(View(simulator.scenario, (900, 600), settings=settings), simulator)
+        shown[name] = world[60:-60]  # without the words in the corners
+    rows = {name: np.flatnonzero(has_color(world, LIGHT.shadow).any(axis=1)) for name, world in shown.items()}
+    assert rows["deep"].max() > rows["none"].max() + 20
+    assert rows["hall"].max() == rows["deep"].max()
+    changed = np.flatnonzero((shown["hall"] != shown["deep"]).any(axis=(1, 2)))
+    assert 0 < len(changed)
+    assert changed.max() < shown["hall"].shape[0] / 2 + 60  # the horizon is in the middle of the picture
 
 
 @pytest.mark.parametrize("theme", THEMES)

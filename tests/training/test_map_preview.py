@@ -70,6 +70,26 @@ def test_starts_are_those_of_the_seeds(fovconn, monkeypatch):
         np.testing.assert_array_equal(waypoints, simulator.world.waypoint[0])
 
 
+def test_settings_count_in_the_preview(fovconn, monkeypatch):
+    """Floor and ceiling stand in the title, and the starts keep off them."""
+    from fovconn_env.render.figures import plan
+
+    seen = []
+    monkeypatch.setattr(plan, "draw_plan", lambda *given: seen.append(draw_plan(*given)) or seen[-1])
+    GROUND.to_file("ground.json")
+    words = ("figures", "--map", "ground.json", "--set", "floor=-2", "--set", "ceiling=3.5", "--set", "n_agents=3")
+    assert fovconn(*words).status == 0
+    assert fovconn(*words, "--scenario", "LeaderFollow-v0", "--seeds", "3").status == 0
+    titles = [figure.get_suptitle() for figure in seen]
+    assert titles[0] == "ground.json, floor at -2 m, ceiling at 3.5 m"
+    assert titles[1] == "ground.json, starts of LeaderFollow-v0, floor at -2 m, ceiling at 3.5 m"
+    wrong = fovconn("figures", "--map", "ground.json", "--set", "floor=2")
+    assert wrong.status == 2
+    assert "Scenario.floor must be at most 0, got 2" in wrong.err
+    alone = fovconn("figures", "--ablations", "--set", "floor=-2")
+    assert "--set must come with --map" in alone.err
+
+
 def test_a_map_without_room_is_drawn_all_the_same(fovconn):
     Map().circle((0, 0), 7).to_file("full.json")
     shown = fovconn("figures", "--map", "full.json", "--scenario", "LeaderFollow-v0", "--out", "drawn")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -16,8 +16,10 @@ from fovconn_env.training.commands.options import (
     Fresh,
     JsonFile,
     Processes,
+    Settings,
     check_folder,
     check_writable,
+    parse,
     read_recording,
 )
 from fovconn_env.training.commands.screen import grid, out, progress, say_written
@@ -39,6 +41,7 @@ def command(
     scenario_name: Annotated[
         str | None, typer.Option("--scenario", help="With --map: draw starts of this scenario, too.")
     ] = None,
+    settings: Settings = None,
     seeds: Annotated[
         str | None, typer.Option(help="Seeds: 0-127, 7 or 0-31,100-131.  [default: 0-127; on a map 0-7]")
     ] = None,
@@ -55,13 +58,15 @@ def command(
         raise ValueError(f"figures must be told which, got {given}: name a recording, or add --ablations or --map")
     if scenario_name is not None and map_file is None:
         raise ValueError(f"--scenario must come with --map, got {scenario_name!r}: what is flown has its own")
+    if settings and map_file is None:
+        raise ValueError(f"--set must come with --map, got {settings[0]!r}: what is flown has its own")
     check_installed("figures")
     check_folder(folder)
     check_writable({"--json": json_file})
     if recording is not None:
         _draw_flight(recording, folder, force)
     elif map_file is not None:
-        _draw_map(map_file, folder, scenario_name, parse_seeds(seeds or "0-7"))
+        _draw_map(map_file, folder, scenario_name, parse_seeds(seeds or "0-7"), parse(settings))
     else:
         _draw_ablations(folder, seeds or "0-127", processes, fresh, json_file)
 
@@ -79,10 +84,10 @@ def _draw_flight(file: Path, folder: Path, force: bool) -> None:
     say_written(pictures)
 
 
-def _draw_map(file: Path, folder: Path, scenario_name: str | None, seeds: list[int]) -> None:
+def _draw_map(file: Path, folder: Path, scenario_name: str | None, seeds: list[int], changes: dict[str, Any]) -> None:
     from fovconn_env.training.evaluation.map_preview import preview
 
-    picture, problem = preview(file, folder, scenario_name, seeds)
+    picture, problem = preview(file, folder, scenario_name, seeds, changes)
     if problem:
         out.print(f"not all starts are drawn: {problem}", style="yellow", highlight=False, soft_wrap=True, markup=False)
     say_written([picture])

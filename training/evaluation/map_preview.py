@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from fovconn_env import Map, Scenario, Simulator, scenario
 
 
-def preview(file: Path, folder: Path, base: str | None, seeds: Sequence[int]) -> tuple[Path, str]:
+def preview(
+    file: Path, folder: Path, base: str | None, seeds: Sequence[int], changes: Mapping[str, Any]
+) -> tuple[Path, str]:
     """Draw a map to a PNG in a folder; returns its path, and why starts are missing, "" if none are.
 
     base: id of the scenario whose starts are drawn, from these seeds; without it only its map, clearance and box.
+    changes: settings of the scenario by name.
     """
     from fovconn_env.render.figures.plan import draw_plan
     from fovconn_env.render.figures.style import save
 
-    chosen = scenario(base or "LeaderFollow-v0", map=file, warmup=0.0)
+    chosen = scenario(base or "LeaderFollow-v0", **{**changes, "map": file, "warmup": 0.0})
     assert isinstance(chosen.map, Map)
     starts, problem = _starts(chosen, seeds) if base is not None else ([], "")
     folder.mkdir(parents=True, exist_ok=True)

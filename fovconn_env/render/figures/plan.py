@@ -45,7 +45,9 @@ def draw_plan(
     low, high = low - spare, high + spare
     figure = style.sheet(7.5, min(6.0 * (high - low) / (right - left) + 1.2, 8.5))
     axes = figure.add_subplot(aspect="equal", xlim=(left, right), ylim=(low, high), xlabel="x (m)", ylabel="y (m)")
-    figure.suptitle(title, fontsize=10, weight="bold")
+    levels = {"floor": scenario.floor, "ceiling": scenario.ceiling}
+    words = [f"{name} at {height:g} m" for name, height in levels.items() if height is not None]
+    figure.suptitle(", ".join([title, *words] if title else words), fontsize=10, weight="bold")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(9, steps=[1, 2, 5, 10]))
     grown = pieces.copy()

@@ -18,12 +18,14 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from fovconn_env.flights.flight import Flight
 from fovconn_env.render import palette
 from fovconn_env.render.figures import style
+from fovconn_env.render.levels import Levels, levels_of
 from fovconn_env.render.obstacles import outlines
 
 DOT_EVERY = 5.0  # s between the dots of a trajectory
 _STAR = {"marker": "*", "color": style.OPERATOR, "mec": "white", "mew": 0.6, "ms": 15, "zorder": 8}
 _NUMBER = {"color": style.OPERATOR, "weight": "bold", "path_effects": style.HALO, "zorder": 9}
 _STEPS = [1, 2, 5, 10]  # between ticks, times powers of ten
+_FLOOR = "#E6E1D8"
 _LEAST_HEIGHT = 5.0  # m of the vertical axis
 _LEGEND = 0.12  # share of Fig. 4 that its legend takes
 
@@ -33,7 +35,9 @@ def draw_trajectories(flight: Flight) -> Figure:
     """Fig. 4: the flight in 3-D with a dot every 5 s, a thicker leader, hollow starts, and way points as stars."""
     limits = [style.span(np.concatenate([flight.poses[..., k].ravel(), flight.waypoints[:, k]]), 1.0) for k in range(3)]
     spare = max(0.0, _LEAST_HEIGHT - (limits[2][1] - limits[2][0])) / 2
-    limits[2] = limits[2][0] - spare, limits[2][1] + spare
+    levels = levels_of(flight.scenario, np.concatenate([flight.poses[..., 2].ravel(), flight.waypoints[:, 2]]))
+    low, high = limits[2][0] - spare, limits[2][1] + spare
+    limits[2] = low if levels.floor is None else levels.floor, high if levels.ceiling is None else levels.ceiling
     sides, floor = [high - low for low, high in limits], limits[2][0]
     figure = style.sheet(7.5, 4.9, layout=None)
     axes = Axes3D(figure, elev=32, azim=-60 if sides[0] >= sides[1] else -30)
@@ -46,6 +50,7 @@ def draw_trajectories(flight: Flight) -> Figure:
         axes.plot([x], [y], [z], **_STAR)
         axes.text(x, y, z + 0.5, str(k + 1), ha="center", **_NUMBER)
     _draw_footprints(axes, flight, limits)
+    _draw_levels(axes, limits, levels)
     for artist in (*axes.lines, *axes.collections):
         artist.set_clip_on(False)  # to the square in the page's middle
     axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2], xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
@@ -54,7 +59,12 @@ def draw_trajectories(flight: Flight) -> Figure:
         axis.pane.set(facecolor="#F8F8F8", edgecolor=style.GRID)
         axis.set_major_locator(MaxNLocator(nbins, steps=_STEPS))
     _fit_page(figure, axes, sides)
-    figure.legend(handles=_legend(flight), loc="lower center", ncols=5)
+    handles = _legend(flight)
+    if levels.floor is not None:
+        handles.append(Line2D([], [], ls="", marker="s", color=_FLOOR, ms=8, label=f"floor, {levels.floor:g} m"))
+    if levels.ceiling is not None:
+        handles.append(Line2D([], [], color=style.FAINT, lw=0.8, ls="--", label=f"ceiling, {levels.ceiling:g} m"))
+    figure.legend(handles=handles, loc="lower center", ncols=5)
     return figure
 
 
@@ -96,6 +106,17 @@ def _draw_footprints(axes: Axes3D, flight: Flight, limits: list[tuple[float, flo
     floors = [np.column_stack([shape, np.full(len(shape), limits[2][0])]) for shape in shapes]
     if floors:
         axes.add_collection3d(Poly3DCollection(floors, facecolors=style.OBSTACLE, edgecolors=style.OBSTACLE, alpha=0.8))
+
+
+def _draw_levels(axes: Axes3D, limits: list[tuple[float, float]], levels: Levels) -> None:
+    """Draw the floor as a plane and the ceiling as an outline, over the whole axes."""
+    (left, right), (low, high), _ = limits
+    corners = np.array([(left, low), (right, low), (right, high), (left, high), (left, low)])
+    if levels.floor is not None:
+        plane = np.column_stack([corners, np.full(5, levels.floor)])
+        axes.add_collection3d(Poly3DCollection([plane], facecolors=_FLOOR, edgecolors=_FLOOR, alpha=0.5, zorder=0))
+    if levels.ceiling is not None:
+        axes.plot(*corners.T, levels.ceiling, color=style.FAINT, lw=0.8, ls="--", zorder=9)
 
 
 def _fit_page(figure: Figure, axes: Axes3D, sides: list[float]) -> None:

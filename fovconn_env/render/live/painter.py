@@ -85,7 +85,7 @@ class Painter:
         attitude = shapes3d.attitudes(now.poses[:, 3], now.tilt)
         visible = now.alive & (depth > NEAR)
         if not lens.parallel:
-            self._paint_shadows(surface, lens, positions, half, scene.floor, pixels, depth > NEAR)
+            self._paint_shadows(surface, lens, positions, half, scene.levels.ground, pixels, depth > NEAR)
         self._paint_course(surface, lens, scene)
         if len(options.tracks) > 1:
             self._paint_trails(surface, lens, options.tracks)
@@ -104,13 +104,12 @@ class Painter:
         seen = np.where((depth > NEAR)[:, None], pixels, -1e6)
         return Marks(seen, half * scale, waypoints, _STAR * size)
 
-    def paint_ground(
-        self, surface: pygame.Surface, lens: Lens, center: np.ndarray, radius: float, floor: float, step: float
+    def paint_grid(
+        self, surface: pygame.Surface, lens: Lens, center: np.ndarray, radius: float, height: float, step: float
     ) -> None:
-        """Fill the surface and draw a disc of the world's grid on the floor. center (2,), radius and step, m."""
-        surface.fill(self._theme.ground)
+        """Draw a disc of the world's grid at a height. center (2,); radius, height and step, m."""
         lines = shapes3d.grid_lines(center, radius, step)
-        ends = clip_segments(lens, np.concatenate([lines, np.full((*lines.shape[:2], 1), floor)], axis=-1))
+        ends = clip_segments(lens, np.concatenate([lines, np.full((*lines.shape[:2], 1), height)], axis=-1))
         for a, b in project(lens, ends)[0].tolist():
             pygame.draw.line(surface, self._theme.grid, a, b, FINE)
 
@@ -121,23 +120,23 @@ class Painter:
         lens: Lens,
         positions: np.ndarray,
         half: np.ndarray,
-        floor: float,
+        ground: float,
         pixels: np.ndarray,
         shown: np.ndarray,
     ) -> None:
-        """Draw discs on the floor under the robots and lines down to them, which show the heights."""
-        ground = positions * [1.0, 1.0, 0.0] + [0.0, 0.0, floor]
-        discs, _ = project(lens, ground[:, None] + half[:, None, None] * _SHADOW)
+        """Draw discs on the ground under the robots and lines down to them, which show the heights."""
+        feet = positions * [1.0, 1.0, 0.0] + [0.0, 0.0, ground]
+        discs, _ = project(lens, feet[:, None] + half[:, None, None] * _SHADOW)
         for i in np.flatnonzero(shown):
             foot, *disc = discs[i].tolist()
             pygame.draw.polygon(surface, self._theme.shadow, disc)
             pygame.draw.line(surface, self._tints[i], pixels[i], foot, FINE)
 
     def _paint_course(self, surface: pygame.Surface, lens: Lens, scene: StaticScene) -> None:
-        """Draw the leader's course on the floor, dashed, with poles up to the way points."""
+        """Draw the leader's course on the ground, dashed, with poles up to the way points."""
         if len(scene.course) == 0:
             return
-        feet = scene.course * [1.0, 1.0, 0.0] + [0.0, 0.0, scene.floor]
+        feet = scene.course * [1.0, 1.0, 0.0] + [0.0, 0.0, scene.levels.ground]
         ways = np.stack([feet[:-1], feet[1:]], axis=1)
         poles = np.stack([feet, scene.course], axis=1)[len(feet) - scene.n_waypoints :]
         for a, b in project(lens, clip_segments(lens, np.concatenate([ways, poles])))[0].tolist():

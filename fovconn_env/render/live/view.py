@@ -120,7 +120,7 @@ class View:
 
     def _draw_world(self, place: pygame.Rect, now: Instant, weak: list[tuple[int, int]], above: bool) -> Marks:
         """Draw the world in a rectangle of the page, 3-D or from above."""
-        settings, floor = self.settings, self._scene.floor
+        settings, levels = self.settings, self._scene.levels
         panel = self._fine.subsurface([FINE * side for side in place])
         size = panel.get_size()
         lens = plan_lens(now, size) if above else self._viewpoint.lens(settings, now, size)
@@ -131,11 +131,14 @@ class View:
         else:
             radius = shown = max(1.5 * team + 5.0, 16.0)
         grid = 2.0 if shown < 26.0 else 5.0
-        self._painter.paint_ground(panel, lens, middle, radius, floor, grid)
+        panel.fill(self._colors.ground)
+        self._painter.paint_grid(panel, lens, middle, radius, levels.ground, grid)
         least = FINE * (place.height / 31 if self._scenario.n_agents <= 12 else place.height / 60)
         tracks = self._history.tracks(now.time - _TRAIL if settings.trails else math.inf)
         options = Options(tracks, weak, settings.cones, settings.linked)
         marks = self._painter.paint(panel, lens, 0.8 * least if above else least, now, self._scene, options)
+        if levels.ceiling is not None and not lens.parallel:
+            self._painter.paint_grid(panel, lens, middle, radius, levels.ceiling, 4.0 * grid)
         if above:
             pygame.draw.line(panel, self._colors.page, (0, 0), (0, size[1]), 4 * FINE)
         return marks._replace(grid=grid)
@@ -178,7 +181,9 @@ class View:
         radii, star = (marks.radii / FINE).tolist(), marks.star / FINE
         stars = [_around(at, 0.9 * star) for at in waypoints]
         bodies = [_around(at, 0.7 * radius) for at, radius in zip(robots, radii, strict=True)]
-        scale = self._type.render(f"grid {marks.grid:g} m", theme.faint, halo=theme.ground)
+        levels = {"floor": self._scene.levels.floor, "ceiling": self._scene.levels.ceiling}
+        words = [f"{name} {z:g} m" for name, z in levels.items() if z is not None and not small]
+        scale = self._type.render("   ".join([*words, f"grid {marks.grid:g} m"]), theme.faint, halo=theme.ground)
         corner = pygame.Rect(
             (place.right - scale.get_width() - 6, place.bottom - scale.get_height() - 3), scale.get_size()
         )

@@ -14,8 +14,9 @@ import numpy as np
 
 from fovconn_env.flights.flight import Flight
 from fovconn_env.render import palette, sight
+from fovconn_env.render.levels import levels_of
 from fovconn_env.render.obstacles import outlines
-from fovconn_env.render.shapes3d import BODY, NOSE, QUADROTOR, ROTOR, attitudes, fan, rim
+from fovconn_env.render.shapes3d import BODY, NOSE, QUADROTOR, ROTOR, attitudes, fan, grid_lines, rim
 
 THEME = palette.DARK  # as rerun's viewer
 TIMELINE = "time"  # s
@@ -24,7 +25,7 @@ _SIZE = 0.42  # m, half-width of a drawn robot
 _GAP = 0.7  # m between the tip of a link's arrow and the robot that is seen
 _STUB = 1.5  # m, the part of a field of view that is drawn as a cone
 _EYE = (-0.3, -0.7, 0.6)  # position of the eye from the middle of the flight, in sizes of the flight
-_MARGIN = 1.0  # m of obstacles below and above the flight
+_MARGIN, _GRID = 4.0, 5.0  # m of floor and ceiling around the flight, between their lines
 
 
 def write_rrd(flight: Flight, path: Path) -> Path:
@@ -72,7 +73,7 @@ def _layout(rr: Any, flight: Flight) -> Any:
             ("links", "links", True),
         )
     ]
-    places = np.concatenate([flight.poses[..., :3].reshape(-1, 3), flight.waypoints])
+    places = _places(flight)
     middle, size = (places.min(0) + places.max(0)) / 2, np.linalg.norm(np.ptp(places, axis=0))
     eye = rrb.EyeControls3D(position=middle + size * np.array(_EYE), look_target=middle, eye_up=(0.0, 0.0, 1.0))
     world = rrb.Spatial3DView(origin="world", name="team", background=_rgb(THEME.panel), eye_controls=eye)
@@ -84,12 +85,20 @@ def _layout(rr: Any, flight: Flight) -> Any:
 
 
 def _log_ground(rr: Any, stream: Any, flight: Flight) -> None:
-    """Log static shapes: obstacles, and the leader's course through its way points."""
+    """Log static shapes: obstacles, floor and ceiling, and the leader's course through its way points."""
     stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     corners, triangles = prisms(flight)
     if len(triangles):
         mesh = rr.Mesh3D(vertex_positions=corners, triangle_indices=triangles, albedo_factor=_rgb(THEME.obstacle))
         stream.log("world/obstacles", mesh, static=True)
+    places = _places(flight)
+    levels, middle = levels_of(flight.scenario, places[:, 2]), (places.min(0) + places.max(0))[:2] / 2
+    radius = float(np.linalg.norm(places[:, :2] - middle, axis=1).max()) + _MARGIN
+    for name, height in (("floor", levels.floor), ("ceiling", levels.ceiling)):
+        if height is not None:
+            lines = grid_lines(middle, radius, _GRID)
+            strips = np.concatenate([lines, np.full((*lines.shape[:2], 1), height)], axis=-1)
+            stream.log(f"world/{name}", rr.LineStrips3D(strips, colors=_rgb(THEME.grid), radii=-0.7), static=True)
     if palette.leader_of(flight.scenario) is not None:
         course = np.vstack([flight.poses[0, flight.leader[0], :3], flight.waypoints])
         stream.log("world/course", rr.LineStrips3D([course], colors=_rgb(THEME.operator), radii=-0.7), static=True)
@@ -99,10 +108,9 @@ def _log_ground(rr: Any, stream: Any, flight: Flight) -> None:
 
 
 def prisms(flight: Flight) -> tuple[np.ndarray, np.ndarray]:
-    """Obstacles as one mesh, corners (n, 3) and triangles (m, 3), cut to the flight's heights."""
-    heights = np.concatenate([flight.poses[..., 2].ravel(), flight.waypoints[:, 2]])
-    low = np.maximum(flight.pieces["low"], heights.min() - _MARGIN)
-    high = np.minimum(flight.pieces["high"], heights.max() + _MARGIN)
+    """Obstacles as one mesh, corners (n, 3) and triangles (m, 3), cut to the picture's heights."""
+    levels = levels_of(flight.scenario, _places(flight)[:, 2])
+    low, high = np.maximum(flight.pieces["low"], levels.ground), np.minimum(flight.pieces["high"], levels.top)
     corners, triangles, first = [np.zeros((0, 3))], [np.zeros((0, 3), int)], 0
     for k, plan in enumerate(outlines(flight.pieces, flight.vertices)):
         if low[k] < high[k]:
@@ -211,6 +219,11 @@ def _log_curves(rr: Any, stream: Any, flight: Flight) -> None:
         stream.send_columns(
             f"plots/{path}", _time_columns(rr, flight), rr.Scalars.columns(scalars=values.astype(float))
         )
+
+
+def _places(flight: Flight) -> np.ndarray:
+    """All positions of robots and way points, (n, 3)."""
+    return np.concatenate([flight.poses[..., :3].reshape(-1, 3), flight.waypoints])
 
 
 def _time_columns(rr: Any, flight: Flight) -> list[Any]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import html
 import json
-import math
 import re
 import zlib
 from collections.abc import Callable
@@ -22,12 +21,13 @@ import numpy as np
 from fovconn_env.files import write_text
 from fovconn_env.flights.flight import Flight
 from fovconn_env.render import palette, sight
+from fovconn_env.render.levels import Levels, levels_of
 from fovconn_env.render.obstacles import outlines
 
 INTERVAL = 0.1  # s between the instants in the page
 SCRIPTS = ("data.js", "shapes.js", "view.js", "plots.js", "page.js")
 _WEB = Path(__file__).parent / "web"
-_BELOW, _ABOVE, _MARGIN = 1.0, 1.0, 4.0  # m, of the floor below, roofs above and ground around the flight
+_MARGIN = 4.0  # m of ground around the flight
 _GRID = 5.0  # m
 _ENDINGS = {"disconnected": "team split", "time": "time is up"}  # clearer words for outcomes
 
@@ -79,7 +79,7 @@ def settings(flight: Flight) -> dict[str, Any]:
     scenario, camera = flight.scenario, flight.scenario.camera
     places = np.concatenate([flight.poses[..., :3].reshape(-1, 3), flight.waypoints])
     low, high = places.min(0), places.max(0)
-    floor = math.floor(2.0 * low[2]) / 2.0 - _BELOW
+    levels = levels_of(scenario, places[:, 2])
     led = palette.leader_of(scenario) is not None
     course = [flight.poses[0, flight.leader[0], :3], *flight.waypoints] if led else []
     classes = sight.sight_class(flight.watch, flight.watch.swapaxes(1, 2))
@@ -94,20 +94,21 @@ def settings(flight: Flight) -> dict[str, Any]:
         "observer": sight.observer(classes),
         "camera": {"axis": camera.unit_axis, "a_min": camera.a_min, "d_max": camera.d_max},
         "course": [_round_point(place) for place in course],
-        "obstacles": _prisms(flight, floor, float(high[2]) + _ABOVE),
+        "obstacles": _prisms(flight, levels),
         "low": _round_point(low[:2] - _MARGIN),
         "high": _round_point(high[:2] + _MARGIN),
-        "floor": floor,
+        "floor": levels.ground,
+        "ceiling": levels.ceiling,
         "grid": _GRID,
         "spread": round(float(np.quantile(np.linalg.norm(around, axis=-1).max(1), 0.9)), 2),  # m about the middle
     }
 
 
-def _prisms(flight: Flight, floor: float, top: float) -> list[dict[str, Any]]:
-    """Obstacles as plans with heights, cut to the heights from floor to top, m."""
+def _prisms(flight: Flight, levels: Levels) -> list[dict[str, Any]]:
+    """Obstacles as plans with heights, cut to those of the picture."""
     prisms = []
     for piece, plan in zip(flight.pieces, outlines(flight.pieces, flight.vertices), strict=True):
-        low, high = max(float(piece["low"]), floor), min(float(piece["high"]), top)
+        low, high = max(float(piece["low"]), levels.ground), min(float(piece["high"]), levels.top)
         plan = plan[::4].round(3)
         plan = plan[(plan != np.roll(plan, -1, axis=0)).any(1)]
         if low < high:
@@ -136,9 +137,11 @@ def _title(flight: Flight) -> str:
 
 def _summary(flight: Flight) -> str:
     """One line about the flight, HTML."""
+    heights = {"floor": flight.scenario.floor, "ceiling": flight.scenario.ceiling}
     return (
         f"seed {flight.seed} · {flight.scenario.n_agents} robots · "
         f"<b>{_ENDINGS.get(flight.outcome, flight.outcome)}</b> after {flight.time[-1]:.1f} s"
+        + "".join(f" · {name} {height:g} m" for name, height in heights.items() if height is not None)
     )
 
 

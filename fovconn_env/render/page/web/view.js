@@ -58,12 +58,14 @@ class View {
   }
 
   _ground() {
-    const { low, high, floor, grid } = this.flight;
+    const { low, high, floor, ceiling, grid } = this.flight;
     const first = low.map((x) => Math.floor(x / grid) * grid), last = high.map((x) => Math.ceil(x / grid) * grid);
-    const lines = [];
-    for (let x = first[0]; x <= last[0]; x += grid) lines.push([x, first[1], floor], [x, last[1], floor]);
-    for (let y = first[1]; y <= last[1]; y += grid) lines.push([first[0], y, floor], [last[0], y, floor]);
-    this._add(new L.LineSegments(points(lines), this._paint(line(), "grid")));
+    for (const z of ceiling === null ? [floor] : [floor, ceiling]) {
+      const lines = [];
+      for (let x = first[0]; x <= last[0]; x += grid) lines.push([x, first[1], z], [x, last[1], z]);
+      for (let y = first[1]; y <= last[1]; y += grid) lines.push([first[0], y, z], [last[0], y, z]);
+      this._add(new L.LineSegments(points(lines), this._paint(line(), "grid")));
+    }
     const plane = new L.Mesh(new L.PlaneGeometry(last[0] - first[0], last[1] - first[1]), this._paint(flat(), "ground"));
     plane.position.set((first[0] + last[0]) / 2, (first[1] + last[1]) / 2, floor - 0.03);
     this._add(plane);
