@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from fovconn_env.errors import SettingError, SettingTypeError
 from fovconn_env.layout import Rows, rows
 from fovconn_env.scenarios import presets
 from fovconn_env.scenarios.scenario import Scenario
@@ -32,7 +33,7 @@ class Policy(ABC):
         for name, wanted in self.overrides.items():
             if attrgetter(name)(scenario) != wanted:
                 hint = f"make the environment from {type(self).__name__}.equip(scenario)"
-                raise ValueError(
+                raise SettingError(
                     f"Scenario.{name} must be {wanted!r} for {type(self).__name__}, got "
                     f"{attrgetter(name)(scenario)!r}: {hint}"
                 )
@@ -68,7 +69,7 @@ class Policy(ABC):
         wanted = flat.size // flat.shape[-1], 4
         if actions.shape != wanted:
             hint = "one row vx, vy, vz, yaw_rate a robot"
-            raise ValueError(
+            raise SettingError(
                 f"{type(self).__name__}.decide must return the shape {wanted}, got {actions.shape}: {hint}"
             )
         return actions.reshape(*flat.shape[:-1], 4)
@@ -82,5 +83,5 @@ def scenario_of(env: Any) -> Scenario:
     """The scenario of an environment or a simulator, or the given scenario."""
     result = env if isinstance(env, Scenario) else getattr(getattr(env, "unwrapped", env), "scenario", None)
     if not isinstance(result, Scenario):
-        raise TypeError(f"env must be a fovconn environment, a Simulator or a Scenario, got {env!r}")
+        raise SettingTypeError(f"env must be a fovconn environment, a Simulator or a Scenario, got {env!r}")
     return result

@@ -21,6 +21,7 @@ from fovconn_env.baselines.laws.simple import Follow, Random, Springs, Zero
 from fovconn_env.baselines.learned.cards import FOLDER, SUFFIX
 from fovconn_env.baselines.learned.policy import from_file
 from fovconn_env.baselines.policy import Policy, scenario_of
+from fovconn_env.errors import SettingError, policy_code
 
 POLICIES: dict[str, type[Policy]] = {
     "zero": Zero,
@@ -63,13 +64,13 @@ def find_policy(name: str) -> type[Policy]:
         file = Path(name)
         if not file.is_file():
             hint = f"paths start at {Path.cwd()}"
-            raise ValueError(f"policy {name!r} must name a file that exists, got {name!r}: {hint}")
+            raise SettingError(f"policy {name!r} must name a file that exists, got {name!r}: {hint}")
         return from_file(file)
     place, _, wanted = name.rpartition(":") if ":" in name else (name, "", "")
     if not place.endswith(".py") and not wanted:
         near = difflib.get_close_matches(name, POLICIES, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]!r}?" if near else "your own is file.py:Class or file.safetensors"
-        raise ValueError(f"policy must be one of {', '.join(POLICIES)}, or file.py:Class, got {name!r}: {hint}")
+        raise SettingError(f"policy must be one of {', '.join(POLICIES)}, or file.py:Class, got {name!r}: {hint}")
     module = _module(place, name)
     classes = {
         key: value
@@ -81,7 +82,7 @@ def find_policy(name: str) -> type[Policy]:
     if wanted not in classes:
         hint = "a policy is a subclass of fovconn_env.baselines.Policy"
         known = f"there are {', '.join(classes)}" if classes else hint
-        raise ValueError(f"policy {name!r} must name a policy class of {place}, got {wanted!r}: {known}")
+        raise SettingError(f"policy {name!r} must name a policy class of {place}, got {wanted!r}: {known}")
     return classes[wanted]
 
 
@@ -89,13 +90,16 @@ def _module(place: str, name: str) -> ModuleType:
     """The module of a file or of a dotted name; `ValueError` that tells why it does not load."""
     file = Path(place)
     if place.endswith(".py") and not file.is_file():
-        raise ValueError(f"policy {name!r} must name a file that exists, got {place!r}: paths start at {Path.cwd()}")
-    try:
-        if not place.endswith(".py"):
+        raise SettingError(f"policy {name!r} must name a file that exists, got {place!r}: paths start at {Path.cwd()}")
+    with policy_code(f"policy {name!r} must load, got"):
+        if place.endswith(".py"):
+            return _load(file.resolve())
+        try:
             return importlib.import_module(place)
-        return _load(file.resolve())
-    except Exception as problem:
-        raise ValueError(f"policy {name!r} must load, got {type(problem).__name__}: {problem}") from problem
+        except ModuleNotFoundError as problem:
+            if problem.name is None or not f"{place}.".startswith(f"{problem.name}."):
+                raise  # of what the module imports
+            raise SettingError(f"ModuleNotFoundError: there is no module {problem.name}") from None
 
 
 def _load(file: Path) -> ModuleType:

@@ -1,4 +1,4 @@
-"""The errors for users' values, and the rules that such values must keep: field, rule, value, hint."""
+"""The package's errors, and the rules that users' values must keep: field, rule, value, hint."""
 
 from __future__ import annotations
 
@@ -6,18 +6,78 @@ import dataclasses
 import difflib
 import math
 import numbers
-from collections.abc import Callable, Sequence
+import sysconfig
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+_PACKAGE, _FOLDER = "fovconn_env", Path(__file__).parent
+_INSTALLED = {sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
 
-class SettingError(ValueError):
+
+class FovconnError(Exception):
+    """What the user can put right; the message says what and how, and the `fovconn` command prints nothing else."""
+
+
+class SettingError(FovconnError, ValueError):
     """A value that the package refuses; the message names field, rule, value and a likely cause."""
 
 
 class SettingTypeError(SettingError, TypeError):
     """A value of the wrong type, or a keyword that there is not."""
+
+
+class MachineError(FovconnError, OSError):
+    """The machine lacks what is needed: a display, memory, room on a disk."""
+
+
+class MissingPackage(FovconnError, ImportError):
+    """A package is not installed; the message names the extra that brings it."""
+
+
+class PolicyError(ValueError):
+    """The code of a policy failed; `__cause__` is its own error."""
+
+    place = ""  # file, line and function of the user's code that failed, if it is that
+
+
+def users_frame(problem: BaseException) -> traceback.FrameSummary | None:
+    """The innermost line on the way to an error that is neither this package's nor an installed library's."""
+    for frame, line in reversed(list(traceback.walk_tb(problem.__traceback__))):
+        file, module = frame.f_code.co_filename, str(frame.f_globals.get("__name__"))
+        ours = module.partition(".")[0] == _PACKAGE or (module == "__main__" and Path(file).is_relative_to(_FOLDER))
+        if not ours and not file.startswith("<frozen") and not any(Path(file).is_relative_to(at) for at in _INSTALLED):
+            return traceback.FrameSummary(file, line, frame.f_code.co_name)
+    return None
+
+
+def place_of(problem: BaseException) -> str:
+    """Where the user's code failed: "file.py:12 in decide", or "" where none of it was running."""
+    if isinstance(problem, SyntaxError) and problem.filename:  # the file has run no line yet
+        return f"{problem.filename}:{problem.lineno}"
+    frame = users_frame(problem)
+    return f"{frame.filename}:{frame.lineno} in {frame.name}" if frame else ""
+
+
+@contextmanager
+def policy_code(doing: str) -> Iterator[None]:
+    """Around a policy's own code: its errors become a `PolicyError` that says what it was `doing`, type, and place.
+
+    What the package refuses, without the user's code on the way, stays one line: a `SettingError`.
+    """
+    try:
+        yield
+    except Exception as problem:
+        place = place_of(problem)
+        if isinstance(problem, FovconnError) and not place:
+            raise SettingError(f"{doing} {problem}") from problem
+        error = PolicyError(f"{doing} {type(problem).__name__}: {problem}" + f" ({place})" * bool(place))
+        error.place = place
+        raise error from problem
 
 
 def unknown_keyword(call: str, name: str, hint: str) -> SettingTypeError:
@@ -41,7 +101,7 @@ def as_numbers(field: str, value: Any) -> np.ndarray:
     """`value` as a float64 array; `SettingError` that names the field if it does not read as one."""
     try:
         return np.asarray(value, np.float64)
-    except (TypeError, ValueError) as problem:
+    except (TypeError, ValueError, OverflowError, RuntimeError) as problem:  # 10**400; a tensor with a gradient
         raise SettingError(f"{field} must be an array of numbers, got {value!r}: {problem}") from None
 
 

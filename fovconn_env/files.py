@@ -14,13 +14,14 @@ import os
 import stat
 import uuid
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
+from fovconn_env.errors import FovconnError, SettingError
 from fovconn_env.npz import check_types, max_bytes, read_arrays, write_arrays
 
 MAX_HEADER = 8 << 20  # bytes: the sticks of a flight of an hour, twice, or a map of 20,000 corners
@@ -32,11 +33,11 @@ _OLD_MEMBER = "told"  # the header of files of version 0.1
 _LONG = 240  # letters of a message
 
 
-class OtherKind(ValueError):
+class OtherKind(FovconnError, ValueError):
     """The file holds something else."""
 
 
-class Damaged(ValueError):
+class Damaged(FovconnError, ValueError):
     """The file was of this kind, but not all of it is there or as it was written."""
 
 
@@ -69,15 +70,27 @@ def replacing(*paths: Path) -> Iterator[list[Path]]:
     """
     parts = [path.with_name(f"{path.stem}.{uuid.uuid4().hex[:12]}.part{path.suffix}") for path in paths]
     try:
-        yield parts
-        for part in parts:
-            with part.open("rb+") as stream:
-                os.fsync(stream.fileno())
-        for part, path in zip(parts, paths, strict=True):
-            part.replace(path)
+        with _naming(paths, parts):
+            yield parts
+            for part in parts:
+                with part.open("rb+") as stream:
+                    os.fsync(stream.fileno())
+            for part, path in zip(parts, paths, strict=True):
+                part.replace(path)
     finally:
         for part in parts:
             part.unlink(missing_ok=True)
+
+
+@contextmanager
+def _naming(paths: Sequence[Path], parts: Sequence[Path] = ()) -> Iterator[None]:
+    """Names the files in an `OSError`: that of a full disk has no name, and others name a part, which no user knows."""
+    try:
+        yield
+    except OSError as problem:
+        if problem.errno is not None and (problem.filename is None or Path(str(problem.filename)) in parts):
+            problem.filename = ", ".join(map(str, paths))
+        raise
 
 
 def write_files(contents: Mapping[Path, bytes]) -> None:
@@ -90,7 +103,8 @@ def write_files(contents: Mapping[Path, bytes]) -> None:
 def write_text(path: Path, text: str) -> None:
     """Write a text in UTF-8; a device or a pipe, such as /dev/stdout, gets it as it is. Raises `OSError`."""
     if path.is_char_device() or path.is_fifo():
-        path.write_text(text, "utf-8")
+        with _naming([path]):
+            path.write_text(text, "utf-8")
     else:
         write_files({path: text.encode()})
 
@@ -144,7 +158,7 @@ def parse_json(data: bytes) -> Any:
     level, depth = [value], 0
     while level:
         if depth > MAX_DEPTH:
-            raise ValueError(f"more than {MAX_DEPTH} lists and objects inside each other")
+            raise SettingError(f"more than {MAX_DEPTH} lists and objects inside each other")
         inner = (item.values() if isinstance(item, dict) else item for item in level if isinstance(item, (dict, list)))
         level = [part for parts in inner for part in parts if isinstance(part, (dict, list))]
         depth += 1
@@ -154,20 +168,20 @@ def parse_json(data: bytes) -> Any:
 
 
 def _refuse_constant(name: str) -> None:
-    raise ValueError(f"{name} is no number")
+    raise SettingError(f"{name} is no number")
 
 
 # ----------------------------------------------------------------------------------------------------------- archives
 def write_archive(path: Path, kind: Kind, archive: Archive, *, compress: bool = True) -> None:
     """Write an archive, atomically. Raises `ValueError` unless the path ends in .npz, and `OSError`."""
     if path.suffix != ".npz":
-        raise ValueError(f"a {kind.name} must be a file in .npz, got {str(path)!r}: add the ending")
+        raise SettingError(f"a {kind.name} must be a file in .npz, got {str(path)!r}: add the ending")
     arrays = {name: np.asanyarray(array) for name, array in archive.arrays.items()}
     check_types(arrays)
     header = archive.header | {"format": kind.format, "sha256": _digest(Archive(archive.header, arrays))}
     text = np.frombuffer(json.dumps(header, allow_nan=False).encode(), np.uint8)
     if len(text) > MAX_HEADER:
-        raise ValueError(f"the header of a {kind.name} must be of at most {MAX_HEADER} bytes, got {len(text)}")
+        raise SettingError(f"the header of a {kind.name} must be of at most {MAX_HEADER} bytes, got {len(text)}")
     members = {kind.member: text} | arrays
     total = sum(array.nbytes for array in members.values())
     with replacing(path) as (part,):
@@ -240,10 +254,10 @@ def _parse(file: BinaryIO, kind: Kind) -> Archive:
 def _header(text: np.ndarray) -> dict[str, Any]:
     """The header in an array of bytes, or of letters as in version 0.1."""
     if text.size * text.itemsize > MAX_HEADER * (4 if text.dtype.kind == "U" else 1):
-        raise ValueError(f"its header has {text.nbytes} bytes, more than {MAX_HEADER}")
+        raise SettingError(f"its header has {text.nbytes} bytes, more than {MAX_HEADER}")
     header = parse_json(str(text).encode() if text.dtype.kind == "U" else text.tobytes())
     if not isinstance(header, dict):
-        raise ValueError("its header is no object")
+        raise SettingError("its header is no object")
     return header
 
 

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import errno
 import sys
+import traceback
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 import fovconn_env
+from fovconn_env.errors import FovconnError, PolicyError, place_of
 from fovconn_env.training.commands import bench, demo, evaluate, figures, play, replay, train
-from fovconn_env.training.commands.screen import err, out
+from fovconn_env.training.commands.screen import out, say_error
 from fovconn_env.training.evaluation.campaign import Interrupted
+
+_PACKAGE = Path(fovconn_env.__file__).parent
+_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)  # may name no file
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -25,15 +32,44 @@ app.add_typer(train.app, name="train")
 
 
 def main() -> None:
-    """Run the command; what the user got wrong ends it with one line and exit status 2."""
+    """Run the command. What the user can put right ends it with one line and status 2, the rest with a traceback."""
     try:
         app(standalone_mode=True)
-    except (ValueError, TypeError, OSError) as problem:
-        err.print(f"fovconn: {problem}", style="bold red", highlight=False, soft_wrap=True, markup=False)
+    except FovconnError as problem:
+        say_error(str(problem))
         sys.exit(2)
     except Interrupted as kept:
-        err.print(f"fovconn: {kept}", style="bold yellow", highlight=False, soft_wrap=True, markup=False)
+        say_error(str(kept), "bold yellow")
         sys.exit(130)
+    except Exception as problem:
+        line = one_line(problem)
+        say_error(line or whose_fault(problem))
+        if not line:
+            traceback.print_exception(problem)
+        sys.exit(2 if line else 1)
+
+
+def one_line(problem: Exception) -> str:
+    """What is wrong with a file, or with the disk, that the user named; "" for any other error."""
+    if not isinstance(problem, OSError) or place_of(problem):
+        return ""
+    named = problem.filename is not None and not Path(str(problem.filename)).is_relative_to(_PACKAGE)
+    if named:
+        return f"{problem.strerror}: {str(problem.filename)!r}"
+    return f"{problem.strerror}" if problem.errno in _DISK else ""
+
+
+def whose_fault(problem: Exception) -> str:
+    """The sentence above a traceback: whose code failed, and what to do."""
+    place = problem.place if isinstance(problem, PolicyError) else place_of(problem)
+    what = str(problem) if isinstance(problem, PolicyError) else f"{type(problem).__name__}: {problem}"
+    if isinstance(problem, MemoryError):
+        return f"the memory is full ({what}): try fewer --processes, or a smaller --batch"
+    if place:
+        return f"your own code failed, at {place}: {what}"
+    return (
+        f"a fault of fovconn_env {fovconn_env.__version__}, please report it with the command and all of this: {what}"
+    )
 
 
 @app.callback(invoke_without_command=True)

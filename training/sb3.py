@@ -13,7 +13,7 @@ from stable_baselines3.common.utils import safe_mean
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
 from fovconn_env import Scenario, Simulator, layout, scenario
-from fovconn_env.errors import as_numbers
+from fovconn_env.errors import SettingError, as_numbers
 
 EPISODE_KEYS = ("success", "connected", "collision")  # reach VecMonitor's episode infos, see `EpisodeLog`
 
@@ -58,7 +58,7 @@ class RobotsVecEnv(VecEnv):
         """Keep the actions (B N, 4) for `step_wait`. Raises `ValueError` for another shape."""
         actions, shape = as_numbers("actions", actions), (self.num_envs, len(layout.ACTION))
         if actions.shape != shape:
-            raise ValueError(f"actions must have the shape {shape}, got {actions.shape}: (robots, vx vy vz yaw_rate)")
+            raise SettingError(f"actions must have the shape {shape}, got {actions.shape}: (robots, vx vy vz yaw_rate)")
         self._actions = actions.reshape(self._actions.shape)
 
     def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:

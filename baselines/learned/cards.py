@@ -21,7 +21,7 @@ from fovconn_env.baselines.laws.cohesive import Cohesive
 from fovconn_env.baselines.laws.expert import Expert
 from fovconn_env.baselines.learned import inputs
 from fovconn_env.baselines.policy import Policy
-from fovconn_env.errors import rule
+from fovconn_env.errors import SettingError, rule
 from fovconn_env.files import write_files
 
 SUFFIX = ".safetensors"
@@ -71,7 +71,7 @@ def read(file: Path, names: Mapping[str, Sequence[str]]) -> tuple[Card, dict[str
     try:
         arrays = safetensors.numpy.load(data)
     except Exception as problem:  # SafetensorError and what numpy raises; the library lists none
-        raise ValueError(f"{file} must be a safetensors file, got {len(data)} bytes: {problem}") from problem
+        raise SettingError(f"{file} must be a safetensors file, got {len(data)} bytes: {problem}") from problem
     wanted, present = set(names[card.network]), set(arrays)
     hint = f"missing {sorted(wanted - present)}, unknown {sorted(present - wanted)}"
     rule(wanted == present, f"arrays of {file}", f"those of a {card.network!r} network", len(present), hint)
@@ -108,7 +108,9 @@ def read_card(file: Path) -> Card:
     try:
         card = Card(**json.loads(place.read_text("utf-8")))
     except (ValueError, TypeError) as problem:
-        raise ValueError(f"{place} must be the card of a learned policy, got {problem}: is it another file?") from None
+        raise SettingError(
+            f"{place} must be the card of a learned policy, got {problem}: is it another file?"
+        ) from None
     rule(card.format == FORMAT, f"format of {place}", f"{FORMAT}", card.format, "written by another version")
     rule(card.network in ("set", "mlp"), f"network of {place}", "set or mlp", card.network, "written by hand?")
     known = f"null or one of {', '.join(BASES)}"

@@ -12,6 +12,7 @@ from torch import nn
 
 from fovconn_env import layout
 from fovconn_env.baselines.learned.inputs import EMPHASIS, LAMBDA2, OWN, POINT, ROW, SHARE, scales
+from fovconn_env.errors import SettingError
 
 
 def emphasis(lambda2: torch.Tensor) -> torch.Tensor:
@@ -29,7 +30,7 @@ class Encoder(nn.Module):
         self.max_neighbors, self.extra = max_neighbors, extra
         self.max_ranges = (size - OWN - max_neighbors * ROW) // POINT
         if self.max_ranges < 0 or layout.observation_size(max_neighbors, self.max_ranges) != size:
-            raise ValueError(
+            raise SettingError(
                 f"max_neighbors must fit an observation of {size} columns, got {max_neighbors}: "
                 "take the scenario's max_neighbors"
             )

@@ -28,6 +28,7 @@ from fovconn_env.baselines.learned.inputs import (
     scales,
 )
 from fovconn_env.baselines.policy import Policy
+from fovconn_env.errors import SettingError
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.scenarios.scenario import Scenario
 
@@ -83,7 +84,7 @@ class Learned(Policy):
         self.card, self._encoder, self._head = load(self.file)
         size = scenario.observation_size
         if self.card.network == "mlp" and self.card.observation_size != size:
-            raise ValueError(
+            raise SettingError(
                 f"{self.file}: the network must have as many inputs as the scenario has columns ({size}), got "
                 f"{self.card.observation_size}: a plain MLP fits one max_neighbors and max_ranges, a set network any"
             )

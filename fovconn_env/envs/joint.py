@@ -11,7 +11,7 @@ from gymnasium import spaces
 
 from fovconn_env import layout
 from fovconn_env.envs.viewer import FPS, RENDER_MODES, Viewer
-from fovconn_env.errors import as_numbers
+from fovconn_env.errors import SettingError, as_numbers
 from fovconn_env.scenarios.presets import scenario
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.graph import Graph
@@ -60,7 +60,7 @@ class JointEnv(gymnasium.Env):
             raise gymnasium.error.ResetNeeded("step() needs an episode under way: call reset() first")
         action, shape = as_numbers("action", action), self.action_space.shape
         if action.shape != shape:
-            raise ValueError(f"action must have the shape {shape}, got {action.shape}: (robots, vx vy vz yaw_rate)")
+            raise SettingError(f"action must have the shape {shape}, got {action.shape}: (robots, vx vy vz yaw_rate)")
         self.simulator.step(action[None])
         episode = self.simulator.state.episode[0]
         reward = float(self.simulator.rewards[0].mean())

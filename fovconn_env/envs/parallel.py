@@ -16,7 +16,7 @@ from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 
 from fovconn_env import layout
 from fovconn_env.envs.viewer import FPS, RENDER_MODES, Viewer
-from fovconn_env.errors import as_numbers
+from fovconn_env.errors import SettingError, as_numbers
 from fovconn_env.scenarios.presets import scenario
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.graph import Graph
@@ -69,7 +69,7 @@ class ParallelEnv(pettingzoo.ParallelEnv):
     @max_cycles.setter
     def max_cycles(self, value: int) -> None:
         if value < 1 or value != int(value):
-            raise ValueError(f"max_cycles must be a whole number, at least 1, got {value}: it counts steps")
+            raise SettingError(f"max_cycles must be a whole number, at least 1, got {value}: it counts steps")
         self.simulator.max_cycles = int(value)
 
     def observation_space(self, agent: str) -> spaces.Space:
@@ -149,23 +149,23 @@ class ParallelEnv(pettingzoo.ParallelEnv):
         """Actions by agent as an array (N, 4) float64, checked."""
         if not isinstance(actions, Mapping):
             kind = type(actions).__name__
-            raise ValueError(f"actions must be a dict by agent, got {kind}: {{'uav_0': [vx, vy, vz, yaw_rate], ...}}")
+            raise SettingError(f"actions must be a dict by agent, got {kind}: {{'uav_0': [vx, vy, vz, yaw_rate], ...}}")
         rows = np.empty((len(self.agents), len(layout.ACTION)))
         for row, agent in zip(rows, self.agents, strict=True):
             if agent not in actions:
-                raise ValueError(f"actions must hold every agent, got none for {agent}: all robots act in every step")
+                raise SettingError(f"actions must hold every agent, got none for {agent}: all robots act in every step")
             action = as_numbers(f"action of {agent}", actions[agent])
             if action.shape != row.shape:
-                raise ValueError(
+                raise SettingError(
                     f"action of {agent} must have the shape {row.shape}, got {action.shape}: vx vy vz yaw_rate"
                 )
             row[:] = action
         if len(actions) > len(self.agents):
             unknown = next(agent for agent in actions if agent not in self.agents)
-            raise ValueError(f"actions must be for {self.agents[0]} .. {self.agents[-1]}, got one for {unknown!r}")
+            raise SettingError(f"actions must be for {self.agents[0]} .. {self.agents[-1]}, got one for {unknown!r}")
         if not np.isfinite(rows).all():
             agent = self.agents[int(np.argwhere(~np.isfinite(rows))[0, 0])]
-            raise ValueError(f"action of {agent} must be finite, got {actions[agent]!r}: did the policy diverge?")
+            raise SettingError(f"action of {agent} must be finite, got {actions[agent]!r}: did the policy diverge?")
         return rows
 
     def _observations(self) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 
 from fovconn_env import layout
 from fovconn_env.envs.joint import TEAM_KEYS, joint_spaces
-from fovconn_env.errors import check_count
+from fovconn_env.errors import SettingError, check_count
 from fovconn_env.scenarios.presets import scenario
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.graph import Graph
@@ -39,7 +39,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         self.autoreset_mode = _parse_mode(autoreset_mode)
         self.metadata = {"autoreset_mode": self.autoreset_mode, "render_modes": [], "render_fps": 20}
         if render_mode is not None:
-            raise ValueError(f"render_mode must be None for a batch, got {render_mode!r}: render one world instead")
+            raise SettingError(f"render_mode must be None for a batch, got {render_mode!r}: render one world instead")
         self.render_mode = None
         check_count("num_envs", num_envs, "a batch holds worlds")
         self.scenario = scenario(base, **settings)
@@ -58,7 +58,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         if mask is not None:
             mask = np.asarray(mask)
             if mask.dtype != bool or not mask.any():
-                raise ValueError(f"options['reset_mask'] must be bool with one True at least, got {mask!r}: (B,)")
+                raise SettingError(f"options['reset_mask'] must be bool with one True at least, got {mask!r}: (B,)")
         self.simulator.reset(seed, mask=mask, poses=poses)
         return self.simulator.observations.copy(), self._infos()
 
@@ -71,7 +71,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         """
         simulator, over = self.simulator, self.simulator.over.copy()
         if over.any() and self.autoreset_mode == AutoresetMode.DISABLED:
-            raise ValueError(
+            raise SettingError(
                 f"step() needs every world under way, but world {int(over.argmax())} has ended: reset it with "
                 "options={'reset_mask': terminations | truncations}"
             )
@@ -117,4 +117,4 @@ def _parse_mode(mode: AutoresetMode | str) -> AutoresetMode:
         if mode in (member, member.value, member.name):
             return member
     names = ", ".join(member.name for member in AutoresetMode)
-    raise ValueError(f"autoreset_mode must be one of {names}, got {mode!r}: see gymnasium.vector.AutoresetMode")
+    raise SettingError(f"autoreset_mode must be one of {names}, got {mode!r}: see gymnasium.vector.AutoresetMode")

@@ -7,6 +7,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from fovconn_env.errors import SettingError
 from fovconn_env.sim.simulator import Simulator
 
 RENDER_MODES = ("human", "rgb_array")
@@ -18,7 +19,7 @@ class Viewer:
 
     def __init__(self, render_mode: str | None) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
-            raise ValueError(f"render_mode must be None or one of {', '.join(RENDER_MODES)}, got {render_mode!r}")
+            raise SettingError(f"render_mode must be None or one of {', '.join(RENDER_MODES)}, got {render_mode!r}")
         self.render_mode = render_mode
         self._view: Any = None
         self._window: Any = None

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fovconn_env.errors import rule
+from fovconn_env.errors import SettingError, rule
 from fovconn_env.flights.recording import EVERY, Event, Recording, outcome, versions
 from fovconn_env.flights.rollout import Observer
 from fovconn_env.flights.state_hash import hash_state, state_hash
@@ -83,7 +83,7 @@ class Recorder(Observer):
     def recording(self) -> Recording:
         """The episode so far. Raises `ValueError` before a reset."""
         if self._origin is None:
-            raise ValueError("recording() needs an episode: call reset(seed) first")
+            raise SettingError("recording() needs an episode: call reset(seed) first")
         return Recording(
             **self._origin,
             sticks=np.array(self._sticks, np.float64).reshape(-1, 3),

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fovconn_env.errors import rule
+from fovconn_env.errors import FovconnError, rule
 from fovconn_env.files import RECORDING, Archive, Damaged, read_archive, write_archive
 from fovconn_env.flights.rollout import Observer, steps
 from fovconn_env.flights.state_hash import FORMATS, NEWEST, state_hash
@@ -25,11 +25,11 @@ EVERY = 200  # steps between two hashes
 OUTCOMES = ("success", "collision", "disconnected", "time", "unfinished")
 
 
-class OtherVersion(ValueError):
+class OtherVersion(FovconnError, ValueError):
     """The recording is of another version, and its flight does not come out as recorded."""
 
 
-class Diverged(ValueError):
+class Diverged(FovconnError, ValueError):
     """The flight does not come out as recorded, in the versions that recorded it."""
 
 

@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
+from fovconn_env.errors import SettingError, as_numbers, policy_code
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.simulator import Simulator
 
@@ -58,11 +59,13 @@ def rollout(
     """Fly a policy once from every seed, a world each: yields the simulator after the reset and after every step.
 
     The team flies with the policy's equipment; its starts are drawn by the rules of the scenario as given. The caller
-    may break off at any step. Raises `ValueError` that names policy, scenario and step where the policy fails, and
-    robot and seed where it returns what is no action.
+    may break off at any step. Raises `PolicyError` that names policy, scenario and step where the policy fails, and
+    `SettingError`, with robot and seed, where it returns what is no action.
     """
+    name = getattr(policy, "__name__", type(policy).__name__)
     simulator = Simulator(policy.equip(scenario), len(seeds), n_threads=n_threads, starts=scenario)
-    pilot = policy(simulator.scenario)
+    with policy_code(f"policy {name} cannot be made for {scenario.name}:"):
+        pilot = policy(simulator.scenario)
     simulator.reset(list(seeds))
     return steps(simulator, lambda _: decide(pilot, simulator), observers)
 
@@ -91,18 +94,16 @@ def decide(policy: Policy, simulator: Simulator) -> np.ndarray:
     """A policy's actions (B, N, 4) float64 in the next step, 0 in worlds whose episode is over; raises as `rollout`."""
     name, where = type(policy).__name__, simulator.scenario.name
     at = f"step {int(simulator.state.episode['step'].max())}"
-    try:
-        actions = np.asarray(policy.act(simulator.observations), np.float64)
-    except Exception as problem:
-        what = problem if isinstance(problem, ValueError) else f"{type(problem).__name__}: {problem}"
-        raise ValueError(f"policy {name} failed on {where} in {at}: {what}") from problem
+    with policy_code(f"policy {name} failed on {where} in {at}:"):
+        returned = policy.act(simulator.observations)
+    actions = as_numbers(f"actions of policy {name} on {where} in {at}", returned)
     shape = (*simulator.observations.shape[:2], 4)
     if actions.shape != shape:
         got = f"got {actions.shape} on {where}, {at}"
-        raise ValueError(f"policy {name} must return actions of the shape {shape}, {got}: (worlds, robots, columns)")
+        raise SettingError(f"policy {name} must return actions of the shape {shape}, {got}: (worlds, robots, columns)")
     bad = ~np.isfinite(actions).all(-1) & ~simulator.over[:, None]
     if bad.any():
         b, i = np.argwhere(bad)[0].tolist()
         got = f"got {actions[b, i].tolist()} for uav_{i} on {where}, seed {simulator.seeds[b]}, {at}"
-        raise ValueError(f"policy {name} must return finite actions, {got}: did it diverge?")
+        raise SettingError(f"policy {name} must return finite actions, {got}: did it diverge?")
     return np.where(simulator.over[:, None, None], 0.0, actions)

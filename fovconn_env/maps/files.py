@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fovconn_env.errors import rule
+from fovconn_env.errors import SettingError, rule
 from fovconn_env.files import write_text
 from fovconn_env.maps.outlines import Short
 from fovconn_env.maps.svg import read_svg
@@ -84,17 +84,17 @@ def _read_text(path: Path) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
-        raise ValueError(f"{path}: a map must be text in UTF-8, got bytes that are not: {problem}") from None
+        raise SettingError(f"{path}: a map must be text in UTF-8, got bytes that are not: {problem}") from None
 
 
 def _read_json(text: str, file: str) -> list[Entry]:
     def reject_constant(name: str) -> None:
-        raise ValueError(f"{name} is no number")
+        raise SettingError(f"{name} is no number")
 
     try:  # parse_int=float: then only True and False are ints, and an integer of many digits is no problem
         record = json.loads(text, parse_int=float, parse_constant=reject_constant, object_pairs_hook=_unique_keys)
     except (ValueError, RecursionError) as problem:
-        raise ValueError(f"{file}: a .json map must be JSON, got something else: {problem}") from None
+        raise SettingError(f"{file}: a .json map must be JSON, got something else: {problem}") from None
     name = record.get("format") if isinstance(record, dict) else record
     rule(name == FORMAT, f"{file}: format", repr(FORMAT), Short(name), "see docs/maps.md")
     _check_keys(file, record, ("format", "version", "obstacles"), ())
@@ -157,5 +157,5 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(item) < len(pairs):
         keys = [key for key, _ in pairs]
         repeated = next(key for key in keys if keys.count(key) > 1)
-        raise ValueError(f"{repeated!r} is there twice in one object")
+        raise SettingError(f"{repeated!r} is there twice in one object")
     return item

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pymunk
 
+from fovconn_env.errors import SettingError
 from fovconn_env.maps.obstacles import HIGH, LOW, Map, rounded_shape
 from fovconn_env.maps.outlines import checked_array, checked_length
 
@@ -32,7 +33,7 @@ class Forest:
         for name in ("n_pillars", "n_walls"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
-                raise ValueError(f"Forest.{name} must be a whole number of at least 0, got {value!r}: obstacles")
+                raise SettingError(f"Forest.{name} must be a whole number of at least 0, got {value!r}: obstacles")
         for name in ("pillar_radius", "wall_length"):
             least, greatest = checked_array(f"Forest.{name}", getattr(self, name), (2,))
             checked_length(f"Forest.{name}[0]", least, above=0.0)
@@ -56,7 +57,9 @@ class Forest:
         """
         x_min, x_max, y_min, y_max = checked_array("Forest.generate area", area, (4,))
         if x_min > x_max or y_min > y_max:
-            raise ValueError(f"Forest.generate area must be x_min, x_max, y_min, y_max with min <= max, got {area}: m")
+            raise SettingError(
+                f"Forest.generate area must be x_min, x_max, y_min, y_max with min <= max, got {area}: m"
+            )
         points = checked_array("Forest.generate keep_clear", keep_clear, (-1, 3))[:, :2].tolist()
         checked_length("Forest.generate keep_radius", keep_radius, least=0.0)
         result = Map()
@@ -75,7 +78,7 @@ class Forest:
                         result.circle(core[0], radius, low=self.low, high=self.high)
                     break
             else:
-                raise ValueError(
+                raise SettingError(
                     f"Forest found no room for a {kind} after {MAX_TRIES} tries, with {len(result.space.shapes)} of "
                     f"{self.n_walls + self.n_pillars} obstacles placed: fewer or smaller ones, a smaller gap or "
                     "keep_radius, or a larger area"

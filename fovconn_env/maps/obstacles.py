@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pymunk
 
-from fovconn_env.errors import rule
+from fovconn_env.errors import SettingError, rule
 from fovconn_env.kernel.records import PIECE
 from fovconn_env.maps.files import check_call, read_entries, write_entries
 from fovconn_env.maps.outlines import Short, checked_array, checked_length, checked_outline, convex_pieces
@@ -49,7 +49,7 @@ class Map:
                 try:
                     result._add_copy(shape)
                 except (TypeError, ValueError) as error:
-                    raise ValueError(f"Map.from_space cannot take {shape}: {error}") from error
+                    raise SettingError(f"Map.from_space cannot take {shape}: {error}") from error
             for added in list(result.space.shapes)[n_before:]:
                 added.source = source
         return result
@@ -66,7 +66,7 @@ class Map:
             try:
                 result.obstacle(entry.shapes)
             except ValueError as error:
-                raise ValueError(f"{path}: {entry.name}: {error}") from None
+                raise SettingError(f"{path}: {entry.name}: {error}") from None
         return result
 
     def to_file(self, path: str | Path) -> None:
@@ -117,7 +117,7 @@ class Map:
         ends = {"start": start, "end": end}
         core = [checked_array(f"Map.wall {name}", point, (2,)).tolist() for name, point in ends.items()]
         if core[0] == core[1]:
-            raise ValueError(f"Map.wall end must differ from start, got {end} for both: a pillar is a Map.circle")
+            raise SettingError(f"Map.wall end must differ from start, got {end} for both: a pillar is a Map.circle")
         thickness = checked_length("Map.wall thickness", thickness, above=0.0)
         return self._add("Map.wall", [core], thickness / 2, low, high)
 
@@ -183,7 +183,7 @@ class Map:
     def _add_copy(self, shape: pymunk.Shape) -> None:
         """Add a copy of a shape of another space, at the shape's place in the world frame."""
         if shape.body is None or shape.body.body_type != pymunk.Body.STATIC:
-            raise ValueError("its body must be static: obstacles stand still")
+            raise SettingError("its body must be static: obstacles stand still")
         core = [tuple(shape.body.local_to_world(corner)) for corner in _core(shape)]
         low, high = getattr(shape, "height", (LOW, HIGH))
         if isinstance(shape, pymunk.Circle):

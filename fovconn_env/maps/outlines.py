@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from fovconn_env.errors import SettingError
+
 _STRAIGHT = 1e-9  # rad, a corner that turns by less counts as straight
 FAR = 1e6  # m, no coordinate is larger
 
@@ -37,7 +39,7 @@ def checked_array(field: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> n
     fits = array.ndim == len(shape) and all(size in (-1, n) for size, n in zip(shape, array.shape, strict=True))
     if not fits or not (abs(array) <= FAR).all():
         sizes = ", ".join("n" if size == -1 else str(size) for size in shape)
-        raise ValueError(f"{field} must be ({sizes}) finite numbers of at most {FAR:g}, got {value!r}: metres")
+        raise SettingError(f"{field} must be ({sizes}) finite numbers of at most {FAR:g}, got {value!r}: metres")
     return array
 
 
@@ -48,11 +50,11 @@ def checked_length(field: str, value: float, *, above: float = -math.inf, least:
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not abs(number) <= FAR:
-        raise ValueError(f"{field} must be a finite number of at most {FAR:g}, got {value}: metres")
+        raise SettingError(f"{field} must be a finite number of at most {FAR:g}, got {value}: metres")
     if number <= above:
-        raise ValueError(f"{field} must be {'positive' if above == 0.0 else f'above {above:g}'}, got {value}: metres")
+        raise SettingError(f"{field} must be {'positive' if above == 0.0 else f'above {above:g}'}, got {value}: metres")
     if number < least:
-        raise ValueError(f"{field} must be at least {least:g}, got {value}: metres")
+        raise SettingError(f"{field} must be at least {least:g}, got {value}: metres")
     return number
 
 
@@ -64,15 +66,17 @@ def checked_outline(field: str, outline: npt.ArrayLike) -> np.ndarray:
     corners = checked_array(field, outline, (-1, 2))
     corners = corners[(corners != np.roll(corners, 1, axis=0)).any(axis=1)]
     if len(corners) < 3:
-        raise ValueError(f"{field} must have at least 3 different corners, got {len(corners)}: a wall needs only 2")
+        raise SettingError(f"{field} must have at least 3 different corners, got {len(corners)}: a wall needs only 2")
     spans = corners - corners[0]
     area = _cross(spans, np.roll(spans, -1, axis=0)).sum() / 2
     if abs(area) <= 1e-12 * np.ptp(corners, axis=0).max() ** 2:
-        raise ValueError(f"{field} must have an area, got {abs(area):g} m^2: its corners lie on one line or cancel out")
+        raise SettingError(
+            f"{field} must have an area, got {abs(area):g} m^2: its corners lie on one line or cancel out"
+        )
     crossing = _first_crossing(corners)
     if crossing is not None:
         i, j = crossing
-        raise ValueError(
+        raise SettingError(
             f"{field} must not cross or touch itself, got edges from corners {corners[i].tolist()} and "
             f"{corners[j].tolist()} that do: list the corners in order around the outline"
         )
@@ -112,7 +116,7 @@ def _choose_cut(corners: np.ndarray) -> int:
     possible = ((left > 0.0) | (right > 0.0)) & ~crossed.any(axis=1) & (offset.min(axis=1) > _STRAIGHT * length.max())
     possible[[0, 1, n - 1]] = False
     if not possible.any():
-        raise ValueError(f"outline corner {corners[0].tolist()} sees no other corner: does it nearly touch itself?")
+        raise SettingError(f"outline corner {corners[0].tolist()} sees no other corner: does it nearly touch itself?")
     cost = np.where(possible, length, np.inf) + np.where((left >= 0.0) & (right >= 0.0), 0.0, 4.0 * FAR)
     return int(cost.argmin())
 

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from fovconn_env.errors import rule
+from fovconn_env.errors import SettingError, rule
 from fovconn_env.maps.outlines import FAR, Short
 
 _ROUND = 1e-9  # a circle whose axes differ by less than this share stays a circle
@@ -41,7 +41,7 @@ def read_svg(text: str, file: str, scale: float, max_corners: int) -> list[tuple
         import svgpathtools  # noqa: F401
     except ModuleNotFoundError as problem:
         hint = "pip install 'fovconn-env[cli]'"
-        raise ValueError(f"{file}: an .svg map must be read with svgpathtools, got {problem}: {hint}") from problem
+        raise SettingError(f"{file}: an .svg map must be read with svgpathtools, got {problem}: {hint}") from problem
     root = _parse_root(text, file)
     upright = np.diag([scale, -scale, 1.0])
     obstacles = []
@@ -49,7 +49,7 @@ def read_svg(text: str, file: str, scale: float, max_corners: int) -> list[tuple
         try:
             obstacles.append((name, _read_shapes(element, matrix, heights, max_corners)))
         except ValueError as problem:
-            raise ValueError(f"{file}: {name}: {problem}") from None
+            raise SettingError(f"{file}: {name}: {problem}") from None
     content = f"a drawing of {', '.join(f'<{shape}>' for shape in _SHAPES)}"
     rule(bool(obstacles), f"{file}: an .svg map", content, "none", "what is hidden or in <defs> does not count")
     return obstacles
@@ -60,7 +60,7 @@ def _parse_root(text: str, file: str) -> ElementTree.Element:
     try:
         root = ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError) as problem:
-        raise ValueError(f"{file}: an .svg map must be XML, got something else: {problem}") from None
+        raise SettingError(f"{file}: an .svg map must be XML, got something else: {problem}") from None
     rule(_tag_name(root) == "svg", f"{file}: an .svg map", "an <svg>", f"<{_tag_name(root)}>", "is it another format?")
     return root
 
@@ -87,7 +87,7 @@ def _visible_elements(
             matrix = matrix @ _parse_transform(element.get("transform"))
             heights = heights | _read_heights(element)
         except ValueError as problem:
-            raise ValueError(f"{file}: {name}: {problem}") from None
+            raise SettingError(f"{file}: {name}: {problem}") from None
         if tag in _SHAPES:
             yield element, name, matrix, heights
         else:
@@ -149,7 +149,7 @@ def _flatten_path(text: str, tolerance: float, max_corners: int) -> list[np.ndar
         with np.errstate(all="ignore"):
             path = parse_path(text)
     except Exception as problem:  # the library has no error of its own
-        raise ValueError(f"it must be well-formed, got {Short(text)!r}: {problem}") from None
+        raise SettingError(f"it must be well-formed, got {Short(text)!r}: {problem}") from None
     rule(len(path) > 0, "it", "an outline", Short(text), "nothing is drawn")
     outlines, corners = [], [path[0].start]
     for k, segment in enumerate(path):
@@ -202,7 +202,7 @@ def _parse_transform(text: str | None) -> np.ndarray:
     try:
         return parse_transform(text, strict=True)
     except Exception as problem:  # the library has no error of its own
-        raise ValueError(f"transform must be like 'translate(1, 2) rotate(30)', got {text!r}: {problem}") from None
+        raise SettingError(f"transform must be like 'translate(1, 2) rotate(30)', got {text!r}: {problem}") from None
 
 
 def _read_heights(element: ElementTree.Element) -> dict[str, float]:

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fovconn_env import layout
-from fovconn_env.errors import as_numbers, check_count, rule
+from fovconn_env.errors import SettingError, SettingTypeError, as_numbers, check_count, rule
 from fovconn_env.kernel import step
 from fovconn_env.kernel.world import operator
 from fovconn_env.scenarios.leader import Recorded
@@ -57,7 +57,7 @@ class Simulator:
         """n_threads: one a core by default. starts: a scenario whose start, map and course are drawn instead."""
         if not isinstance(scenario, Scenario):
             hint = "fovconn_env.scenario(id) makes one"
-            raise TypeError(f"Simulator's scenario must be a Scenario, got {scenario!r}: {hint}")
+            raise SettingTypeError(f"Simulator's scenario must be a Scenario, got {scenario!r}: {hint}")
         check_count("n_worlds", n_worlds, "a batch holds worlds")
         if n_threads is not None:
             check_count("n_threads", n_threads, "leave it out for one a core")
@@ -177,7 +177,7 @@ class Simulator:
         """
         chosen = np.ones(self.n_worlds, bool) if mask is None else np.asarray(mask, bool)
         if chosen.shape != (self.n_worlds,):
-            raise ValueError(f"mask must have the shape ({self.n_worlds},), got {chosen.shape}: one entry a world")
+            raise SettingError(f"mask must have the shape ({self.n_worlds},), got {chosen.shape}: one entry a world")
         seeds, given = self._world_seeds(seed), self._world_starts(starts, poses)
         new: dict[int, tuple[np.random.Generator, EpisodeStart, int]] = {}
         for b in np.flatnonzero(chosen).tolist():
@@ -203,12 +203,12 @@ class Simulator:
         actions = as_numbers("actions", actions)
         shape = (self.n_worlds, self.scenario.n_agents, 4)
         if actions.shape != shape:
-            raise ValueError(
+            raise SettingError(
                 f"actions must have the shape {shape}, got {actions.shape}: (worlds, robots, vx vy vz yaw_rate)"
             )
         if not np.isfinite(actions).all():
             b, i, _ = np.argwhere(~np.isfinite(actions))[0]
-            raise ValueError(
+            raise SettingError(
                 f"action of uav_{i} of world {b} must be finite, got {actions[b, i].tolist()}: did the policy diverge?"
             )
         self._run_worlds(actions, NO_MASK, 0, into)
@@ -250,9 +250,9 @@ class Simulator:
         stick = as_numbers("stick", stick)
         if stick.shape not in ((3,), (self.n_worlds, 3)):
             hint = "vx, vy, vz of the leader's yaw frame"
-            raise ValueError(f"stick must have the shape (3,) or ({self.n_worlds}, 3), got {stick.shape}: {hint}")
+            raise SettingError(f"stick must have the shape (3,) or ({self.n_worlds}, 3), got {stick.shape}: {hint}")
         if not np.isfinite(stick).all():
-            raise ValueError(f"stick must be finite, got {stick.tolist()}: m/s; is the joystick calibrated?")
+            raise SettingError(f"stick must be finite, got {stick.tolist()}: m/s; is the joystick calibrated?")
         speed, limit = np.hypot(np.hypot(stick[..., 0], stick[..., 1]), stick[..., 2]), self.scenario.stick_speed
         too_long = speed > limit * (1.0 + 1e-12)  # a clipped stick does not change when it is pushed again
         stick = stick * np.where(too_long, limit / np.where(too_long, speed, 1.0), 1.0)[..., None]
@@ -274,7 +274,9 @@ class Simulator:
         chosen = ~self.over & (True if world is None else np.arange(self.n_worlds) == world)
         dead = chosen & ~self.state.body["alive"][:, robot]
         if dead.any():
-            raise ValueError(f"robot must be alive to lead, got uav_{robot}, dead in world {dead.argmax()}: see infos")
+            raise SettingError(
+                f"robot must be alive to lead, got uav_{robot}, dead in world {dead.argmax()}: see infos"
+            )
         self.state.episode["leader"][chosen] = robot
         self._update_sticks()
 
@@ -307,7 +309,7 @@ class Simulator:
         complete = isinstance(seeds, Sequence) and len(seeds) == self.n_worlds
         if not complete or not all(isinstance(s, whole) and s >= 0 for s in seeds):
             many = f", or {self.n_worlds} of them" if self.n_worlds > 1 else ""
-            raise ValueError(f"seed must be a whole number, at least 0{many}, got {seed!r}: one a world")
+            raise SettingError(f"seed must be a whole number, at least 0{many}, got {seed!r}: one a world")
         return [int(s) for s in seeds]
 
     def _world_starts(

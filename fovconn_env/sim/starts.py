@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fovconn_env.errors import as_numbers, rule
+from fovconn_env.errors import SettingError, as_numbers, rule
 from fovconn_env.kernel import records, step
 from fovconn_env.maps.corridor import Corridor
 from fovconn_env.maps.forest import Forest
@@ -56,11 +56,11 @@ class StartSampler:
                 return start
         s = self.scenario.start
         if poses is not None:
-            raise ValueError(
+            raise SettingError(
                 f"Course must leave {s.clearance:g} m for a wall between poses and second way point, found no room in "
                 f"{MAX_MAPS} draws: lengthen Course.leg, lower Start.clearance, or give poses closer together"
             )
-        raise ValueError(
+        raise SettingError(
             f"Start must allow lambda2 in ({s.lambda2_low:g}, {s.lambda2_high:g}), spacing {s.spacing:g} m and "
             f"clearance {s.clearance:g} m, found no start in {MAX_TRIES} draws of {self.scenario.n_agents} robots: "
             "enlarge Start.box, lower spacing or clearance, widen the lambda2 interval, or use a map with more room"
@@ -91,7 +91,7 @@ class StartSampler:
             waypoints = self._draw_course(rng, placed)
             if len(waypoints) == 0 or obstacles.clearance(waypoints).min() >= scenario.start.clearance:
                 return self._make_start(placed, waypoints, obstacles)
-        raise ValueError(
+        raise SettingError(
             f"Course must keep its way points {scenario.start.clearance:g} m from the map's obstacles, found none in "
             f"{MAX_TRIES} draws: shorten Course.leg or use a map with more room"
         )
@@ -191,15 +191,15 @@ def check_poses(poses: np.ndarray, scenario: Scenario) -> np.ndarray:
     poses = as_numbers("poses", poses)
     n = scenario.n_agents
     if poses.shape != (n, 4):
-        raise ValueError(f"poses must have the shape ({n}, 4), got {poses.shape}: one row x, y, z, yaw per robot")
+        raise SettingError(f"poses must have the shape ({n}, 4), got {poses.shape}: one row x, y, z, yaw per robot")
     if not np.isfinite(poses).all():
         robot = int(np.argwhere(~np.isfinite(poses))[0, 0])
-        raise ValueError(f"poses must be finite, got {poses[robot].tolist()} for uav_{robot}: metres and radians")
+        raise SettingError(f"poses must be finite, got {poses[robot].tolist()} for uav_{robot}: metres and radians")
     gap = np.linalg.norm(poses[:, None, :3] - poses[None, :, :3], axis=-1)
     gap[np.diag_indices(n)] = np.inf
     if gap.min() < scenario.collision_robot:
         i, j = np.unravel_index(gap.argmin(), gap.shape)
-        raise ValueError(
+        raise SettingError(
             f"poses must keep robots {scenario.collision_robot:g} m apart, got {gap.min():.3g} m between uav_{i} and "
             f"uav_{j}: nearer counts as a collision"
         )
@@ -249,7 +249,7 @@ def check_clearance(poses: np.ndarray, obstacles: Map | None, scenario: Scenario
         distances[f"the ceiling at {scenario.ceiling:g} m"] = scenario.ceiling - poses[:, 2]
     for what, distance in distances.items():
         if distance.min() < scenario.collision_obstacle:
-            raise ValueError(
+            raise SettingError(
                 f"poses must keep {scenario.collision_obstacle:g} m from {what}, got {distance.min():.3g} m for "
                 f"uav_{distance.argmin()}: nearer counts as a collision"
             )

@@ -194,7 +194,7 @@ FAILURES = {
     ),
     "error": (lambda a: 1 / 0, "policy Plain failed on LeaderFollow-v0 in step 2: ZeroDivisionError: division by zero"),
     "nothing": (lambda a: None, "policy Plain must return actions of the shape"),
-    "words": (lambda a: "north", "policy Plain failed on LeaderFollow-v0 in step 2: could not convert string"),
+    "words": (lambda a: "north", "actions of policy Plain .* in step 2 must be an array of numbers, got 'north'"),
 }
 
 

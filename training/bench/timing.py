@@ -17,6 +17,7 @@ import numpy as np
 
 from fovconn_env import Scenario
 from fovconn_env.envs.vector import VectorEnv
+from fovconn_env.errors import SettingError
 from fovconn_env.training.bench.cases import PEERS, Case, Effort, Plan, lap, plans
 
 GROUPS = ("parallel", "vector", "expert", "sb3", "ppo", "dynamics", "reset", "render", "density", "memory")
@@ -132,7 +133,7 @@ def check_groups(only: Sequence[str], groups: Sequence[str] = GROUPS) -> list[st
     """The groups to run, in the order of `groups`; all of them if `only` is empty."""
     for name in only:
         if name not in groups:
-            raise ValueError(f"--only must name some of {', '.join(groups)}, got {name!r}")
+            raise SettingError(f"--only must name some of {', '.join(groups)}, got {name!r}")
     return [group for group in groups if group in only or not only]
 
 
@@ -140,9 +141,9 @@ def check_peers(against: Sequence[str]) -> tuple[list[str], list[str]]:
     """The peers to run, in the order of PEERS, and a line for each one that "installed" has to leave out."""
     for name in against:
         if name not in (*PEERS, *INSTALLED):
-            raise ValueError(f"--against must name some of {', '.join(PEERS)}, or installed, got {name!r}")
+            raise SettingError(f"--against must name some of {', '.join(PEERS)}, or installed, got {name!r}")
         if name in PEERS and not _installed(name):
-            raise ValueError(f"--against {name} needs the package {name}: {PEERS[name].install}")
+            raise SettingError(f"--against {name} needs the package {name}: {PEERS[name].install}")
     every = any(name in INSTALLED for name in against)
     peers = [name for name in PEERS if name in against or (every and _installed(name))]
     return peers, [f"{name}: {PEERS[name].install}" for name in PEERS if every and name not in peers]

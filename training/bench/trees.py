@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 import fovconn_env
+from fovconn_env.errors import SettingError
 
 HERE = Path(fovconn_env.__file__).parents[1]  # where this package is imported from
 LAWS = ("expert", "cohesive", "follow", "springs", "residual")
@@ -113,7 +114,7 @@ def running(tree: Path, program: str, arguments: Any) -> Iterator[Pipes]:
     Raises `ValueError` if the tree is none of this project, `RuntimeError` with what the program said if it fails.
     """
     if not (tree / "fovconn_env").is_dir():
-        raise ValueError(f"--baseline must be a checkout of this project, got {str(tree)!r}: it has no fovconn_env")
+        raise SettingError(f"--baseline must be a checkout of this project, got {str(tree)!r}: it has no fovconn_env")
     variables = {**os.environ, "PYTHONPATH": str(tree.resolve())}
     command = [sys.executable, "-P", "-c", textwrap.dedent(PRELUDE) + textwrap.dedent(program)]
     with tempfile.TemporaryFile("w+", encoding="utf-8") as errors:

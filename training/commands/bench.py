@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from fovconn_env import scenario
+from fovconn_env.errors import SettingError
 from fovconn_env.files import write_text
 from fovconn_env.training.bench.cases import FULL, PEERS, QUICK, Effort
 from fovconn_env.training.bench.timing import GROUPS, INSTALLED, Agenda, agenda, check_groups, run
@@ -42,13 +43,13 @@ def command(
 ) -> None:
     """Time the environment: steps a second, medians over repetitions, ratios to the peers, peak memory."""
     if peers and not against:
-        raise ValueError(f"{peers[0]!r} is unexpected: peers come after --against, groups each after an --only")
+        raise SettingError(f"{peers[0]!r} is unexpected: peers come after --against, groups each after an --only")
     chosen, effort = scenario(scenario_name, **parse(settings)), QUICK if quick else FULL
     effort = effort._replace(batches=tuple(batches or effort.batches), repetitions=repetitions or effort.repetitions)
     check_writable({"--json": json_file, "--plot": picture})
     if baseline is not None:
         if against or picture is not None:
-            raise ValueError("--baseline must stand without --against and --plot: it gives ratios of two trees alone")
+            raise SettingError("--baseline must stand without --against and --plot: it gives ratios of two trees alone")
         report = _beside(baseline, chosen.name, parse(settings), effort, only or ())
     else:
         report = _alone(agenda(chosen, effort, only or (), [*(against or ()), *(peers or ())]), picture)
@@ -70,7 +71,7 @@ def _alone(todo: Agenda, picture: Path | None) -> dict[str, Any]:
         from fovconn_env.training.bench.picture import KINDS
 
         if picture.suffix not in KINDS:
-            raise ValueError(f"--plot must end in one of {', '.join(KINDS)}, got {str(picture)!r}")
+            raise SettingError(f"--plot must end in one of {', '.join(KINDS)}, got {str(picture)!r}")
     chosen, effort = todo.scenario, todo.effort
     with progress() as bar:
         warm_up(bar, chosen, "expert")

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from fovconn_env.errors import SettingError
 from fovconn_env.flights.flight import Film
 from fovconn_env.flights.recording import play_back
 from fovconn_env.training.commands.campaigns import fly_all
@@ -55,11 +56,11 @@ def command(
     asked = {"FILE": recording is not None, "--ablations": ablations, "--map": map_file is not None}
     given = " and ".join(name for name, used in asked.items() if used) or "none"
     if sum(asked.values()) != 1:
-        raise ValueError(f"figures must be told which, got {given}: name a recording, or add --ablations or --map")
+        raise SettingError(f"figures must be told which, got {given}: name a recording, or add --ablations or --map")
     if scenario_name is not None and map_file is None:
-        raise ValueError(f"--scenario must come with --map, got {scenario_name!r}: what is flown has its own")
+        raise SettingError(f"--scenario must come with --map, got {scenario_name!r}: what is flown has its own")
     if settings and map_file is None:
-        raise ValueError(f"--set must come with --map, got {settings[0]!r}: what is flown has its own")
+        raise SettingError(f"--set must come with --map, got {settings[0]!r}: what is flown has its own")
     check_installed("figures")
     check_folder(folder)
     check_writable({"--json": json_file})

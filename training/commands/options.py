@@ -10,6 +10,7 @@ import typer
 
 from fovconn_env import PRESETS, Recording, Scenario, scenario
 from fovconn_env.baselines import POLICIES
+from fovconn_env.errors import SettingError
 from fovconn_env.flights.recording import load
 
 OUT = Path("out")
@@ -35,7 +36,7 @@ def parse(settings: list[str] | None) -> dict[str, Any]:
     for item in settings or []:
         name, equals, text = item.partition("=")
         if not equals:
-            raise ValueError(f"--set must be NAME=VALUE, got {item!r}: for example --set n_agents=4")
+            raise SettingError(f"--set must be NAME=VALUE, got {item!r}: for example --set n_agents=4")
         try:
             changes[name] = ast.literal_eval(text)
         except (ValueError, SyntaxError):  # a word, such as quadrotor
@@ -46,7 +47,7 @@ def parse(settings: list[str] | None) -> dict[str, Any]:
 def check_folder(folder: Path | None, option: str = "--out") -> None:
     """`ValueError` where a folder is asked for and there is a file."""
     if folder is not None and folder.exists() and not folder.is_dir():
-        raise ValueError(f"{option} must name a folder, got {str(folder)!r}: it is a file")
+        raise SettingError(f"{option} must name a folder, got {str(folder)!r}: it is a file")
 
 
 def check_writable(files: dict[str, Path | None]) -> None:
@@ -54,7 +55,7 @@ def check_writable(files: dict[str, Path | None]) -> None:
     given = {option: file for option, file in files.items() if file is not None}
     for option, file in given.items():
         if file.is_dir() or not file.parent.is_dir():
-            raise ValueError(
+            raise SettingError(
                 f"{option} must name a file in an existing folder, got {str(file)!r}: make the folder first"
             )
     for file in given.values():  # fails now rather than after the flights
@@ -67,7 +68,7 @@ def check_writable(files: dict[str, Path | None]) -> None:
 def check_recording(file: Path | None) -> None:
     """`ValueError` for a recording that cannot be written, before it is flown."""
     if file is not None and file.suffix != ".npz":
-        raise ValueError(f"--record must name a file in .npz, got {str(file)!r}: recordings have that ending")
+        raise SettingError(f"--record must name a file in .npz, got {str(file)!r}: recordings have that ending")
     check_writable({"--record": file})
 
 
@@ -75,7 +76,7 @@ def read_recording(file: Path) -> Recording:
     """A recording with at least one step; raises as `load`."""
     recording = load(file)
     if not len(recording.actions):
-        raise ValueError(f"{file} holds no step: nothing was flown")
+        raise SettingError(f"{file} holds no step: nothing was flown")
     return recording
 
 

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from fovconn_env.errors import MissingPackage, SettingError
 from fovconn_env.render.palette import THEMES
 from fovconn_env.training.commands.options import PolicyName, ScenarioName, Settings, check_recording, parse
 from fovconn_env.training.commands.screen import err, say_written
@@ -33,13 +34,13 @@ def command(
     The policy flies all others, and how the leader looks around and avoids things while you pull it. Needs a display.
     """
     if theme not in THEMES:
-        raise ValueError(f"--theme must be one of {', '.join(THEMES)}, got {theme!r}")
+        raise SettingError(f"--theme must be one of {', '.join(THEMES)}, got {theme!r}")
     wide, changes = _size(size), parse(settings)
     check_recording(recording_file)
     try:
         from fovconn_env.training.play.app import App
     except ImportError as missing:
-        raise ValueError(f'play needs {missing.name}: pip install "fovconn-env[render]"') from missing
+        raise MissingPackage(f'play needs {missing.name}: pip install "fovconn-env[render]"') from missing
     with err.status("loading (compiles once, ~20 s)"):
         Session(scenario_name, policy, seed, changes=changes).step()  # loads the kernels, off the record
         session = Session(scenario_name, policy, seed, changes=changes, record=recording_file)
@@ -52,5 +53,5 @@ def _size(text: str) -> tuple[int, int]:
     """Width and height, px, of "1280x720"."""
     width, _, height = text.lower().partition("x")
     if not (width.isdecimal() and height.isdecimal() and int(width) >= LEAST[0] and int(height) >= LEAST[1]):
-        raise ValueError(f"--size must be at least {LEAST[0]}x{LEAST[1]}, got {text!r}: write 1280x720")
+        raise SettingError(f"--size must be at least {LEAST[0]}x{LEAST[1]}, got {text!r}: write 1280x720")
     return int(width), int(height)

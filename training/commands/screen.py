@@ -72,6 +72,11 @@ def grid(title: str, head: list[str], rows: list[list[str]]) -> Table:
     return table
 
 
+def say_error(text: str, style: str = "bold red") -> None:
+    """The line, beside what is printed, that tells why the command ends."""
+    err.print(f"fovconn: {text}", style=style, highlight=False, soft_wrap=True, markup=False)
+
+
 def say_written(files: list[Path]) -> None:
     """The line that tells which files were written."""
     out.print("wrote " + ", ".join(str(file) for file in files), highlight=False, soft_wrap=True)

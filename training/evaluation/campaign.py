@@ -16,6 +16,7 @@ from typing import Any
 
 from fovconn_env import PRESETS, Recorder, Scenario
 from fovconn_env.baselines import POLICIES
+from fovconn_env.errors import MachineError, SettingError
 from fovconn_env.training.evaluation.flights import Evaluation, fly, join, label
 from fovconn_env.training.evaluation.shelf import Cell, Shelf
 
@@ -34,7 +35,7 @@ class Interrupted(Exception):
 def suite(name: str) -> tuple[list[str], list[str], list[int]]:
     """Policies, scenarios and seeds of a suite; `ValueError` lists the suites there are."""
     if name not in SUITES:
-        raise ValueError(f"suite must be one of {', '.join(SUITES)}, got {name!r}: each flies all policies")
+        raise SettingError(f"suite must be one of {', '.join(SUITES)}, got {name!r}: each flies all policies")
     scenarios, seeds = SUITES[name]
     return list(POLICIES), list(scenarios), list(seeds)
 
@@ -45,7 +46,7 @@ def parse_seeds(text: str) -> list[int]:
     for part in text.split(","):
         low, dash, high = (word.strip() for word in part.partition("-"))
         if not low.isdecimal() or not (high.isdecimal() if dash else True) or (dash and int(high) < int(low)):
-            raise ValueError(f"seeds must be like 0-319, 7 or 0-31,100-131, got {text!r}: {part!r} is no such part")
+            raise SettingError(f"seeds must be like 0-319, 7 or 0-31,100-131, got {text!r}: {part!r} is no such part")
         seeds |= dict.fromkeys(range(int(low), int(high or low) + 1))
     return list(seeds)
 
@@ -141,7 +142,7 @@ def _fly_orders(
                 stop.value = 1
                 waiting = {future: k for future, k in waiting.items() if not future.cancel()}
     if isinstance(problem, BrokenProcessPool):
-        raise OSError("a process that flew died, out of memory perhaps: try fewer --processes") from problem
+        raise MachineError("a process that flew died, out of memory perhaps: try fewer --processes") from problem
     if problem is not None:
         raise problem
 
@@ -191,7 +192,7 @@ def _check_labels(cells: Sequence[Cell]) -> None:
     for policy in dict.fromkeys(cell.policy for cell in cells):
         other = known.setdefault(label(policy), policy)
         if other != policy:
-            raise ValueError(f"policies must have different names, got {other!r} and {policy!r}: rename a class")
+            raise SettingError(f"policies must have different names, got {other!r} and {policy!r}: rename a class")
 
 
 def _in_order(part: Evaluation, seeds: Sequence[int]) -> Evaluation:

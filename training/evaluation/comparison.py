@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fovconn_env.errors import SettingError
 from fovconn_env.training.evaluation.flights import Evaluation
 from fovconn_env.training.evaluation.record import Result, result_of
 from fovconn_env.training.evaluation.statistics import (
@@ -93,11 +94,11 @@ def _check(evaluation: Evaluation, group: Mapping[str, Evaluation]) -> None:
     """`ValueError` if an evaluation does not fit to those of the same scenario."""
     scenario, policy = evaluation.scenario.name, evaluation.policy
     if policy in group:
-        raise ValueError(f"policies must have names of their own, got {policy!r} twice on {scenario}")
+        raise SettingError(f"policies must have names of their own, got {policy!r} twice on {scenario}")
     other = next(iter(group.values()), evaluation)
     if list(other.seeds) != list(evaluation.seeds):
         numbers = f"{len(evaluation.seeds)} for {policy}, {len(other.seeds)} for {other.policy}"
-        raise ValueError(
+        raise SettingError(
             f"policies must fly the same seeds of {scenario}, got others, {numbers}: finish the flights first"
         )
 

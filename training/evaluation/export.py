@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fovconn_env import Flight
+from fovconn_env.errors import MissingPackage, SettingError
 from fovconn_env.files import replacing
 
 Watch = Callable[[int, int], None]  # told how much is done, and of how much
@@ -102,17 +103,19 @@ WRITERS: dict[str, tuple[Callable[[Flight, Path, Watch], None], tuple[str, ...],
 
 
 def check_out(path: Path) -> None:
-    """`ValueError` where no writer knows the suffix, or its packages are not installed: which, and how to get them."""
+    """`SettingError` where no writer knows the suffix, `MissingPackage` where what it needs is not installed."""
     if path.suffix not in WRITERS:
-        raise ValueError(f"--out must end in one of {', '.join(WRITERS)}, got {str(path)!r}: the ending is the format")
+        raise SettingError(
+            f"--out must end in one of {', '.join(WRITERS)}, got {str(path)!r}: the ending is the format"
+        )
     check_installed(path.suffix, *WRITERS[path.suffix][1:])
 
 
 def check_installed(what: str, packages: tuple[str, ...] = ("matplotlib", "PIL"), extra: str = "render") -> None:
-    """`ValueError` where something needs packages that are missing: which, and the extra that has them."""
+    """`MissingPackage` where something needs packages that are missing: which, and the extra that has them."""
     missing = [name for name in packages if importlib.util.find_spec(name) is None]
     if missing:
-        raise ValueError(f'{what} needs {" and ".join(missing)}: pip install "fovconn-env[{extra}]"')
+        raise MissingPackage(f'{what} needs {" and ".join(missing)}: pip install "fovconn-env[{extra}]"')
 
 
 def write_flight(flight: Flight, path: Path, watch: Watch) -> Path:

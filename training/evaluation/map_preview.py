@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from fovconn_env import Map, Scenario, Simulator, scenario
+from fovconn_env.errors import SettingError
 
 
 def preview(
@@ -36,7 +37,7 @@ def _starts(chosen: Scenario, seeds: Sequence[int]) -> tuple[list[tuple[np.ndarr
     for seed in seeds:
         try:
             simulator.reset(seed)
-        except ValueError as reason:
+        except SettingError as reason:
             return starts, f"seed {seed}: {reason}"
         count = simulator.world.n_waypoints[0]
         starts.append((simulator.poses()[0].copy(), simulator.world.waypoint[0, :count].copy()))

@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from fovconn_env.errors import SettingError
 from fovconn_env.training.evaluation.flights import Evaluation
 
 ENVIRONMENT = "fovconn"
@@ -58,10 +59,12 @@ def _check(policies: Sequence[str]) -> None:
     lower: dict[str, str] = {}
     for policy in policies:
         if "," in policy:
-            raise ValueError(f"policy labels must have no comma for marl-eval, got {policy!r}: rename the class")
+            raise SettingError(f"policy labels must have no comma for marl-eval, got {policy!r}: rename the class")
         other = lower.setdefault(policy.lower(), policy)
         if other != policy:
-            raise ValueError(f"policy labels must differ in more than case for marl-eval, got {other!r} and {policy!r}")
+            raise SettingError(
+                f"policy labels must differ in more than case for marl-eval, got {other!r} and {policy!r}"
+            )
 
 
 def _blocks(evaluation: Evaluation, metric: str, runs: int) -> list[list[float]]:

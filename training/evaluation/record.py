@@ -21,6 +21,7 @@ import numpy as np
 
 import fovconn_env
 from fovconn_env.baselines import find_policy
+from fovconn_env.errors import SettingError
 from fovconn_env.files import write_text
 from fovconn_env.flights.metrics import ERRORS
 from fovconn_env.training.evaluation.flights import SHARES, Evaluation, summary
@@ -139,7 +140,7 @@ def to_json(record: Record) -> dict[str, Any]:
 def from_json(data: Mapping[str, Any]) -> Record:
     """The record of a JSON object; `ValueError` for one of another format."""
     if data.get("format") != FORMAT:
-        raise ValueError(f"a record must have the format {FORMAT}, got {data.get('format')!r}: fly the study again")
+        raise SettingError(f"a record must have the format {FORMAT}, got {data.get('format')!r}: fly the study again")
     results, overall = ([_result_from_json(row) for row in data.get(name, ())] for name in ("results", "overall"))
     policies, scenarios = data["policies"], data.get("scenarios", {})
     return Record(data["study"], data["seeds"], policies, results, overall, scenarios, data["run"], data["fovconn_env"])

@@ -16,6 +16,7 @@ import numpy as np
 import fovconn_env
 from fovconn_env import Scenario
 from fovconn_env.baselines import find_policy
+from fovconn_env.errors import FovconnError, SettingError
 from fovconn_env.files import Archive, Kind, read_archive, write_archive
 from fovconn_env.scenarios.serialize import scenario_to_json
 from fovconn_env.training.evaluation.flights import Evaluation, label
@@ -49,8 +50,8 @@ class Shelf:
             return None
         try:
             episodes = read_archive(file, EVALUATION).arrays
-        except ValueError as problem:
-            raise ValueError(f"{problem}; delete it, and its episodes are flown again") from problem
+        except FovconnError as problem:
+            raise SettingError(f"{problem}; delete it, and its episodes are flown again") from problem
         histograms, seeds = episodes.pop("histograms"), episodes.pop("seeds").tolist()
         return Evaluation(label(cell.policy), cell.scenario, seeds, episodes, histograms)
 

@@ -24,7 +24,7 @@ import fovconn_env
 from fovconn_env import Recording, Scenario, Simulator
 from fovconn_env.baselines import Policy, find_policy
 from fovconn_env.baselines.learned.inputs import columns, full_scale
-from fovconn_env.errors import rule
+from fovconn_env.errors import SettingError, rule
 from fovconn_env.files import Archive, Kind, read_archive, write_archive
 from fovconn_env.flights.recording import replay
 from fovconn_env.flights.rollout import Observer, rollout
@@ -196,4 +196,4 @@ def _check(file: Path, arrays: dict[str, np.ndarray]) -> None:
             step = row - (int(edges[e - 1]) if e else 0)
             at = f"uav_{arrays['agent'][e]} of seed {arrays['seed'][e]}, step {step}, column {column}"
             value = arrays[name].reshape(len(bad), -1)[row, column]
-            raise ValueError(f"{name} of {file} must be finite, got {value} for {at}: leave that episode out")
+            raise SettingError(f"{name} of {file} must be finite, got {value} for {at}: leave that episode out")

@@ -29,7 +29,7 @@ from fovconn_env import Scenario
 from fovconn_env.baselines.laws.safety import safe
 from fovconn_env.baselines.learned.cards import SUFFIX, write
 from fovconn_env.baselines.learned.policy import from_file
-from fovconn_env.errors import rule
+from fovconn_env.errors import SettingError, rule
 from fovconn_env.files import Archive, Kind, read_archive, write_archive, write_files, write_text
 from fovconn_env.scenarios.serialize import scenario_to_json
 from fovconn_env.training.evaluation import evaluate, summary
@@ -262,7 +262,7 @@ def check_recipe(stored: Mapping[str, Any], current: Mapping[str, Any]) -> None:
             )
             hint = "resume with the same command, or train in another --out"
             if old != new:
-                raise ValueError(f"{what} must be the checkpoint's ({shown[0]!r}), got {shown[1]!r}: {hint}")
+                raise SettingError(f"{what} must be the checkpoint's ({shown[0]!r}), got {shown[1]!r}: {hint}")
 
 
 def as_in_version_0_1(value: Any) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pygame
 from pygame._sdl2 import controller
 
+from fovconn_env.errors import MachineError
 from fovconn_env.render.live.window import open_window
 from fovconn_env.training.play.cockpit import Cockpit
 from fovconn_env.training.play.gamepad import stick_of
@@ -24,11 +25,11 @@ class App:
     """The window and its event loop. Gamepads may be plugged in and out at any time."""
 
     def __init__(self, session: Session, *, size: tuple[int, int], theme: str, fps: int) -> None:
-        """Raises `OSError` where there is no display."""
+        """Raises `MachineError` where there is no display."""
         try:
             self._window = open_window("play", size)
         except pygame.error as problem:
-            raise OSError(
+            raise MachineError(
                 f"play needs a display to open a window, got none ({problem}): start it on a desktop or with xvfb-run; "
                 "fovconn demo flies without a person and writes pictures"
             ) from problem

@@ -11,6 +11,7 @@ import numpy as np
 
 from fovconn_env import PRESETS, Scenario, Simulator, scenario
 from fovconn_env.baselines import POLICIES, find_policy
+from fovconn_env.errors import SettingError
 from fovconn_env.flights.metrics import Meter
 from fovconn_env.flights.recorder import Recorder
 from fovconn_env.flights.rollout import decide, steps
@@ -44,7 +45,7 @@ class Session:
         """
         self._changes, self._record, self._flights = changes or {}, record, 0
         if record is not None and record.suffix != ".npz":
-            raise ValueError(f"--record must name a file in .npz, got {str(record)!r}: add the ending")
+            raise SettingError(f"--record must name a file in .npz, got {str(record)!r}: add the ending")
         self.scripted = True  # the script moves the stick of a leader that the person does not fly
         self.files: list[Path] = []  # recordings written
         self._start_session(name, policy, seed)
@@ -163,7 +164,7 @@ class Session:
         for k in range(1, len(names)):
             try:
                 self._start_session(names[(first + step * k) % len(names)], self.policy, self.seed)
-            except ValueError as error:
+            except SettingError as error:
                 problem = problem or f", after one that cannot be had: {error}"
                 continue
             return self._name + problem
@@ -213,7 +214,7 @@ class Session:
         wanted = kind.equip(base)
         if wanted.leader not in ("waypoints", "human", "none"):
             hint = "you pull, or the script"
-            raise ValueError(f"leader must be waypoints, human or none to play, got {wanted.leader!r}: {hint}")
+            raise SettingError(f"leader must be waypoints, human or none to play, got {wanted.leader!r}: {hint}")
         led = wanted.leader != "none"
         chosen: Scenario = dataclasses.replace(wanted, leader="human") if led else wanted
         simulator, pilot_ = Simulator(chosen, starts=base), kind(chosen)

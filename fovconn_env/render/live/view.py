@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pygame
 
+from fovconn_env.errors import SettingError
 from fovconn_env.render.live.alarm import FALL_TIME, Alarm, notices
 from fovconn_env.render.live.history import History
 from fovconn_env.render.live.instant import Instant, instant_of
@@ -54,7 +55,7 @@ class View:
     def set_page(self, size: tuple[int, int], theme: str | None = None) -> None:
         """Change the size, px, or the theme, "light" or "dark". The history stays."""
         if theme is not None and theme not in THEMES:
-            raise ValueError(f"theme must be one of {', '.join(THEMES)}, got {theme!r}")
+            raise SettingError(f"theme must be one of {', '.join(THEMES)}, got {theme!r}")
         self.size = max(size[0], LEAST[0]), max(size[1], LEAST[1])
         self.theme = theme or self.theme
         self._colors = THEMES[self.theme]

@@ -1,0 +1,130 @@
+"""How `fovconn` ends when something goes wrong: one line for what the user can put right, else a traceback."""
+
+import os
+
+import pytest
+
+from fovconn_env import files, fovconn_v0
+from fovconn_env.errors import FovconnError, MachineError, MissingPackage, PolicyError, SettingTypeError
+from fovconn_env.flights import recording
+from fovconn_env.training.commands import bench
+
+TINY = ("--set", "n_agents=3", "--set", "max_cycles=4", "--set", "warmup=0.1")
+FLY = ("train", "record", "--seeds", "0", *TINY, "--out", "flights.npz")
+ERRORS = ("ValueError", "TypeError", "KeyError", "OverflowError", "MemoryError", "RecursionError", "FileNotFoundError")
+MINE = """\
+from fovconn_env.baselines import Policy
+
+class Mine(Policy):
+    def decide(self, flat):
+        return self.helper()
+
+    def helper(self):
+        raise {error}
+"""
+
+
+def failing(error):
+    """A function that seems to be of this package and raises an error."""
+    space = {"__name__": "fovconn_env.somewhere"}
+    exec(f"def fail(*_, **__):\n    raise {error}", space)
+    return space["fail"]
+
+
+def one_line(shown, *parts):
+    """The command has ended with status 2 and one line that has these parts."""
+    assert shown.status == 2
+    assert shown.out == ""
+    last = shown.err.rstrip("\n").splitlines()[-1]
+    assert last.startswith("fovconn: ")
+    assert "Traceback" not in shown.err
+    for part in parts:
+        assert part in last
+
+
+def traceback_below(shown, sentence, last):
+    """The command has ended with status 1: the sentence, then a traceback that ends with this line."""
+    assert shown.status == 1
+    lines = shown.err.rstrip("\n").splitlines()
+    first = next(k for k, line in enumerate(lines) if line.startswith("fovconn: "))
+    assert sentence in lines[first]
+    assert lines[first + 1].startswith("Traceback")
+    assert last in shown.err[shown.err.index("Traceback") :]
+
+
+@pytest.mark.parametrize("kind", [*ERRORS, "SettingError"])
+def test_the_users_own_code_fails(kind, fovconn, tmp_path):
+    """Type, file and line of the user's code are visible, also where it raises this package's own error."""
+    imports = "from fovconn_env.errors import SettingError\n" if kind == "SettingError" else ""
+    (tmp_path / "mine.py").write_text(imports + MINE.format(error=f"{kind}('of mine')"))
+    shown = fovconn(*FLY, "--policy", "mine.py:Mine")
+    sentence = f"your own code failed, at {tmp_path}/mine.py:{8 + bool(imports)} in helper: policy Mine failed on "
+    traceback_below(shown, sentence, "SettingError: of mine" if imports else f"{kind}: ")
+    assert "raise" in shown.err, "the line itself"
+
+
+@pytest.mark.parametrize("where", ["__init__", "the module"])
+def test_the_users_own_code_fails_before_the_flight(where, fovconn, tmp_path):
+    text = MINE.format(error="IndexError") + "    def __init__(self, scenario):\n        open('weights.bin')\n"
+    (tmp_path / "mine.py").write_text("open('weights.bin')" if where == "the module" else text)
+    shown = fovconn(*FLY, "--policy", "mine.py:Mine")
+    traceback_below(shown, f"your own code failed, at {tmp_path}/mine.py:", "FileNotFoundError: [Errno 2]")
+
+
+def test_the_users_own_code_fails_in_another_process(fovconn, tmp_path):
+    (tmp_path / "mine.py").write_text(MINE.format(error="IndexError('of mine')"))
+    shown = fovconn("eval", "--policy", "mine.py:Mine", "--seeds", "0-1", *TINY, "--processes", "1")
+    traceback_below(shown, f"your own code failed, at {tmp_path}/mine.py:8 in helper: ", "IndexError: of mine")
+
+
+@pytest.mark.parametrize("kind", [*ERRORS, "AssertionError", "NotImplementedError"])
+def test_our_own_code_fails(kind, fovconn, monkeypatch):
+    monkeypatch.setattr(bench, "agenda", failing(f"{kind}('of ours')"))
+    sentence = "the memory is full" if kind == "MemoryError" else "a fault of fovconn_env "
+    traceback_below(fovconn("bench", "--quick"), sentence, f"{kind}: ")
+
+
+@pytest.mark.parametrize("kind", FovconnError.__subclasses__())
+def test_what_the_user_can_put_right_is_one_line(kind, fovconn, monkeypatch):
+    def refuse(*_):
+        raise kind("n_agents must be [/red] at least 2")
+
+    monkeypatch.setattr(bench, "agenda", refuse)
+    one_line(fovconn("bench", "--quick"), "n_agents must be [/red] at least 2")
+
+
+def test_errors_keep_the_types_that_python_code_catches():
+    for kind in (files.OtherKind, files.Damaged, recording.OtherVersion, recording.Diverged, SettingTypeError):
+        assert issubclass(kind, FovconnError)
+        assert issubclass(kind, ValueError)
+    assert issubclass(SettingTypeError, TypeError)
+    assert issubclass(MachineError, OSError)
+    assert issubclass(MissingPackage, ImportError)
+    assert issubclass(PolicyError, ValueError)
+    assert not issubclass(PolicyError, FovconnError)
+    with pytest.raises(TypeError, match="unexpected keyword"):
+        fovconn_v0.parallel_env(n_agent=3)
+
+
+@pytest.mark.parametrize(
+    "words, path",
+    [
+        (("replay", "no.npz"), "no.npz"),
+        (("replay", "."), "."),
+        (("replay", "a/b"), "a/b"),
+        (("train", "record", "--out", "a/b.npz"), "a"),
+        (("eval", "--out", "a/b"), "a/b"),
+        (("demo", "--out", "a/b"), "a/b"),
+        (("figures", "--map", "no.json"), "no.json"),
+        (("bench", "--quick", "--json", "/dev/full"), "/dev/full"),
+    ],
+)
+def test_a_path_that_cannot_be_used_is_named(words, path, fovconn, tmp_path, monkeypatch):
+    (tmp_path / "a").write_text("a file")
+    monkeypatch.setattr(bench, "_alone", lambda *_: {})
+    one_line(fovconn(*words), path)
+
+
+def test_a_full_disk_names_the_file_that_was_to_be_written(fovconn, monkeypatch):
+    monkeypatch.setattr(os, "fsync", failing("OSError(28, 'No space left on device')"))
+    one_line(fovconn(*FLY), "No space left on device", "flights.npz")
