@@ -11,10 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fovconn_env.errors import FovconnError, rule
-from fovconn_env.files import RECORDING, Archive, Damaged, read_archive, write_archive
+from fovconn_env.errors import FovconnError, SettingError, rule
+from fovconn_env.fields import check_keys
+from fovconn_env.files import RECORDING, Archive, Damaged, one_line, printable, read_archive, write_archive
+from fovconn_env.flights.checks import check_recording, check_versions
 from fovconn_env.flights.rollout import Observer, steps
-from fovconn_env.flights.state_hash import FORMATS, NEWEST, state_hash
+from fovconn_env.flights.state_hash import NEWEST, state_hash
 from fovconn_env.kernel.jit import source_hash
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.scenarios.serialize import scenario_from_json, scenario_to_json
@@ -22,7 +24,7 @@ from fovconn_env.sim.simulator import Simulator
 from fovconn_env.version import __version__
 
 EVERY = 200  # steps between two hashes
-OUTCOMES = ("success", "collision", "disconnected", "time", "unfinished")
+_KEYS = ("scenario", "starts", "seed", "events", "policies", "versions", "outcome", "hashes")
 
 
 class OtherVersion(FovconnError, ValueError):
@@ -54,17 +56,18 @@ class Recording:
     events: tuple[Event, ...]
     policies: tuple[str, ...]  # what flew each robot, in free words
     versions: dict[str, str]  # of fovconn_env, its kernels, python and libraries
-    outcome: str  # one of OUTCOMES
+    outcome: str  # one of `checks.OUTCOMES`
     hashes: tuple[tuple[int, str], ...]  # (step, hash of the state after it): 0, every 200, and the last
     hash_format: int = NEWEST  # see `state_hash`
+
+    def __post_init__(self) -> None:
+        check_recording(self)
 
     @property
     def leaders(self) -> np.ndarray:
         """(T,) the robot that led in each step."""
-        leaders = np.full(len(self.actions), self.scenario.leader_index)
-        for event in self.events:
-            leaders[event.step :] = event.robot
-        return leaders
+        robots = np.array([self.scenario.leader_index, *(event.robot for event in self.events)])
+        return robots[np.searchsorted([event.step for event in self.events], np.arange(len(self.actions)), "right")]
 
     def save(self, path: str | Path) -> None:
         """Write the recording to an .npz file; one that is there stays until the new one is whole."""
@@ -82,29 +85,41 @@ def load(path: str | Path) -> Recording:
     Raises `OSError` for a file that cannot be read, `files.OtherKind` for one of something else, `files.Damaged` for
     one that is cut off or changed, and `OtherVersion` for one whose settings are not those of this version.
     """
-    header, arrays = read_archive(Path(path), RECORDING)
+    return from_archive(read_archive(Path(path), RECORDING), printable(str(path)))
+
+
+def from_archive(archive: Archive, path: str) -> Recording:
+    """The recording of a file's contents; path: its name in errors. Raises as `load`."""
+    header, arrays = archive
     try:
-        words: dict[str, Any] = header | {
-            "scenario": scenario_from_json(header["scenario"]),
-            "starts": scenario_from_json(header["starts"]),
-            "events": tuple(Event(*event) for event in header["events"]),
-            "policies": tuple(header["policies"]),
-            "hashes": tuple((int(step), str(digest)) for step, digest in header["hashes"]),
-            "hash_format": header.get("hash_format", 1),
-        }
-        recording = Recording(**words, **{"poses": None, **arrays})
-        hint = "is it of a newer fovconn_env?"
-        rule(recording.hash_format in FORMATS, "hash_format", f"one of {FORMATS}", recording.hash_format, hint)
-        fits = recording.sticks.shape == (len(recording.actions), 3)
-        fits = fits and recording.actions.shape == (len(recording.actions), recording.scenario.n_agents, 4)
-    except (KeyError, TypeError, ValueError) as problem:
-        other = _differences(header.get("versions", {}))
+        check_keys("header", header, _KEYS, ["hash_format"])
+        check_versions(header["versions"])
+    except SettingError as problem:
+        raise Damaged(f"{path} is damaged: {one_line(problem)}") from problem
+    try:
+        scenarios = {name: scenario_from_json(header[name]) for name in ("scenario", "starts")}
+    except SettingError as problem:
+        other = _differences(header["versions"])
         if other:
-            raise OtherVersion(f"{path} cannot be read: {problem}. It is of {other}") from problem
-        raise Damaged(f"{path} is damaged: {problem}") from problem
-    if not fits or recording.hashes[0][0] != 0 or recording.hashes[-1][0] != len(recording.actions):
-        raise Damaged(f"{path} is damaged: its sticks, actions and hashes are not of the same flight")
-    return recording
+            raise OtherVersion(f"{path} cannot be read: {one_line(problem)}. It is of {other}") from problem
+        raise Damaged(f"{path} is damaged: {one_line(problem)}") from problem
+    try:
+        check_keys("arrays", arrays, ("sticks", "actions"), ["poses"])
+        words: dict[str, Any] = {"hash_format": 1, **header, **scenarios, "poses": None, **arrays}
+        words["events"] = tuple(Event(*event) for event in _rows("events", header["events"], 3))
+        words["hashes"] = tuple(tuple(pair) for pair in _rows("hashes", header["hashes"], 2))
+        rule(isinstance(header["policies"], list), "policies", "a list", header["policies"], "one a robot")
+        words["policies"] = tuple(header["policies"])
+        return Recording(**words)
+    except SettingError as problem:
+        raise Damaged(f"{path} is damaged: {one_line(problem)}") from problem
+
+
+def _rows(name: str, value: Any, size: int) -> list[list[Any]]:
+    """A header's list of lists of that size."""
+    lists = isinstance(value, list) and all(isinstance(row, list) and len(row) == size for row in value)
+    rule(lists, name, f"a list of lists of {size}", type(value).__name__, "one for each")
+    return value
 
 
 def play_back(recording: Recording, *, force: bool = False, observers: Sequence[Observer] = ()) -> Iterator[Simulator]:
@@ -116,6 +131,7 @@ def play_back(recording: Recording, *, force: bool = False, observers: Sequence[
     simulator = Simulator(recording.scenario, starts=recording.starts)
     simulator.reset(recording.seed, poses=recording.poses)
     actions, hashes, since = iter(recording.actions[:, None]), dict(recording.hashes), 0
+    events = {event.step: event for event in recording.events}
     for t, _ in enumerate(steps(simulator, lambda _: next(actions), observers)):
         if t in hashes:
             if not force and state_hash(simulator, format=recording.hash_format) != hashes[t]:
@@ -124,7 +140,7 @@ def play_back(recording: Recording, *, force: bool = False, observers: Sequence[
         yield simulator
         if t == len(recording.actions):
             return
-        _operate(simulator, recording, t)
+        _operate(simulator, events.get(t), recording.sticks[t])
     if not force:  # the episode ended before the recorded one did
         raise _mismatch(recording, since, len(recording.actions))
 
@@ -135,19 +151,18 @@ def replay(recording: Recording, *, force: bool = False, observers: Sequence[Obs
     return simulator
 
 
-def _operate(simulator: Simulator, recording: Recording, t: int) -> None:
-    """What the operator does before step t."""
-    for event in recording.events:
-        if event.step == t:
-            if event.kind in ("waypoints", "human"):
-                simulator.leader = event.kind
-            simulator.lead(event.robot)
+def _operate(simulator: Simulator, event: Event | None, stick: np.ndarray) -> None:
+    """What the operator does before a step."""
+    if event is not None:
+        if event.kind in ("waypoints", "human"):
+            simulator.leader = event.kind
+        simulator.lead(event.robot)
     if simulator.leader == "human":
-        simulator.push(recording.sticks[t])
+        simulator.push(stick)
 
 
 def outcome(simulator: Simulator, world: int = 0) -> str:
-    """How a world's episode ended, one of OUTCOMES."""
+    """How a world's episode ended, one of `checks.OUTCOMES`."""
     episode = simulator.state.episode[world]
     ends = {"success": "success", "collision": "collision", "disconnected": "disconnected", "truncated": "time"}
     return next((word for name, word in ends.items() if episode[name]), "unfinished")

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from fovconn_env.errors import SettingError, as_numbers
-from fovconn_env.files import RECORDING, read_archive
+from fovconn_env.fields import check_array
+from fovconn_env.files import RECORDING, Damaged, one_line, printable, read_archive
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +36,12 @@ class Recorded:
     @classmethod
     def from_file(cls, path: str | Path) -> Recorded:
         """The sticks of a recorded flight. Raises as `fovconn_env.flights.recording.load` does."""
-        return cls(read_archive(Path(path), RECORDING).arrays["sticks"])
+        sticks: Any = read_archive(Path(path), RECORDING).arrays.get("sticks")
+        try:
+            check_array("sticks", sticks, "f8", (-1, 3))
+        except SettingError as problem:
+            raise Damaged(f"{printable(str(path))} is damaged: {one_line(problem)}") from problem
+        return cls(sticks)
 
     def __eq__(self, other: object) -> bool:
         return np.array_equal(self.sticks, other.sticks) if isinstance(other, Recorded) else NotImplemented

@@ -66,11 +66,14 @@ def _built(value: Any) -> Any:
     words = dict(value)
     kind = words.pop("type", None)
     if kind == "float":
-        return _NOT_FINITE[words["value"]]
+        number = words.get("value")
+        whole = isinstance(number, str) and number in _NOT_FINITE and len(words) == 1
+        rule(whole, "float", f"an object with one of {', '.join(_NOT_FINITE)}", Short(words), "JSON has the others")
+        return _NOT_FINITE[str(number)]
     if kind == "Map":
         return _map(words)
-    if kind not in _KINDS:
-        raise SettingError(f"type must be one of {', '.join(_KINDS)}, got {kind!r}: is it of a newer fovconn_env?")
+    known = isinstance(kind, str) and kind in _KINDS
+    rule(known, "type", f"one of {', '.join(_KINDS)}", Short(kind), "is it of a newer fovconn_env?")
     for name, value in _GONE.get(kind, {}).items():
         if name in words:
             hint = "the option was taken out in 0.2.0; fly it with fovconn_env 0.1.0"
