@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
+import copy
+import copyreg
+import functools
+from abc import ABCMeta, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
 from operator import attrgetter
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
-from fovconn_env.errors import SettingError, SettingTypeError
+from fovconn_env.errors import SettingError, SettingTypeError, closest, rule
 from fovconn_env.layout import Rows, rows
 from fovconn_env.scenarios import presets
 from fovconn_env.scenarios.scenario import Scenario
@@ -17,27 +21,49 @@ from fovconn_env.scenarios.scenario import Scenario
 Observation = Mapping[str, np.ndarray] | np.ndarray
 
 
-class Policy(ABC):
+class PolicyType(ABCMeta):
+    """The type of policy classes: one made at run time, see `make_class`, is pickled as the call that makes it."""
+
+
+def _reduce_class(kind: PolicyType) -> Any:
+    return vars(kind).get("_made_by") or kind.__qualname__
+
+
+copyreg.pickle(PolicyType, _reduce_class)
+
+
+class Policy(metaclass=PolicyType):
     """Maps observations of one scenario's robots to actions. Every robot runs the same policy on its own observation.
 
     A subclass implements `decide` and uses the observation alone. A policy that needs other equipment than the
     scenario's, another estimator for example, lists those settings in `overrides`; `equip` applies them. A policy whose
-    robots know more than sensors and messages provide has `oracle = True`.
+    robots know more than sensors and messages provide has `oracle = True`. A policy with a memory implements `reset`.
     """
 
     overrides: ClassVar[Mapping[str, Any]] = {}  # settings as `fovconn_env.scenario` takes them
     oracle: ClassVar[bool] = False
+    has_memory: ClassVar[bool] = False  # becomes True in a subclass that implements `reset`
+
+    _n_rows = 0  # rows of the stacks since the last reset; 0 before the first
 
     def __init__(self, scenario: Scenario) -> None:
-        """Raises `ValueError` if the scenario does not have the settings in `overrides`."""
+        """Raises `SettingError` if the scenario does not have the settings in `overrides`."""
         for name, wanted in self.overrides.items():
-            if attrgetter(name)(scenario) != wanted:
-                hint = f"make the environment from {type(self).__name__}.equip(scenario)"
-                raise SettingError(
-                    f"Scenario.{name} must be {wanted!r} for {type(self).__name__}, got "
-                    f"{attrgetter(name)(scenario)!r}: {hint}"
-                )
+            hint = f"make the environment from {type(self).__name__}.equip(scenario)"
+            value = attrgetter(name)(scenario)
+            rule(value == wanted, f"Scenario.{name}", f"{wanted!r} for {type(self).__name__}", value, hint)
         self.scenario = scenario
+        self._robots: dict[str, Self] = {}  # a copy of the policy for each robot called by name
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if (forget := vars(cls).get("reset")) is not None:
+            cls.reset = _with_robots(forget)
+            if "has_memory" not in vars(cls):
+                cls.has_memory = True
+
+    def __copy__(self) -> Self:
+        return copy.deepcopy(self)  # two policies that share a memory would disturb each other
 
     @classmethod
     def equip(cls, base: str | Scenario) -> Scenario:
@@ -51,37 +77,135 @@ class Policy(ABC):
 
     @abstractmethod
     def decide(self, flat: np.ndarray) -> np.ndarray:
-        """Actions (R, 4) for flat observations (R, D) float32, one row a robot; rows are independent."""
+        """Actions (R, 4) for flat observations (R, D) float32, one row a robot; rows are independent.
 
-    def reset(self, mask: np.ndarray | None = None) -> None:
-        """Clear the memory of the robots in `mask`; a policy without memory does nothing."""
+        Until the next `reset` each row stays the same robot's, and R the same.
+        """
 
-    def act(self, observation: Observation) -> np.ndarray:
+    def reset(self, mask: npt.ArrayLike | None = None) -> None:
+        """Forget what is remembered of the robots: of all, as an episode starts, or of those in `mask`.
+
+        mask: one bool a row of the stacks, or one a robot of the scenario where robots are called by name.
+        """
+        if mask is None:
+            self._robots, self._n_rows = {}, 0
+            return
+        chosen = np.ravel(np.asarray(mask, bool))
+        count = len(self.scenario.agents) if self._robots else self._n_rows or len(chosen)
+        rule(len(chosen) == count, "mask", f"{count} bools, one a robot", f"{len(chosen)} of them", "see Policy.reset")
+        for agent, forgets in zip(self.scenario.agents if self._robots else (), chosen, strict=False):
+            if forgets:
+                self._robots.pop(agent, None)
+
+    def act(self, observation: Observation, agent: str | None = None) -> np.ndarray:
         """Actions, float32 shares in [-1, 1], for one observation, (4,), or for a stack of them, (..., 4).
 
-        An observation is the environment's dict or its flat form; a stack has leading axes. Raises `ValueError` if
-        `decide` returns another shape than one row of four a robot.
+        An observation is the environment's dict or its flat form; a stack has leading axes, such as (N, D) of a team or
+        (B, N, D) of a batch. agent: the robot whose observation it is, one of `scenario.agents`; a robot called by name
+        has its own copy of the policy, made when it is first called after `reset`. Raises `SettingError` where robots
+        with a memory would be mixed up: one observation without a name, stacks of other than whole teams or of a new
+        number of rows, calls by name and stacks within an episode; and if `decide` returns another shape than one row
+        of four a robot.
         """
         if isinstance(observation, Mapping):
             observation = np.concatenate([observation[key] for key in ("self", "neighbors", "ranges")], axis=-1)
         flat = np.ascontiguousarray(observation, np.float32)
-        actions = np.asarray(self.decide(flat.reshape(-1, flat.shape[-1])))
-        wanted = flat.size // flat.shape[-1], 4
-        if actions.shape != wanted:
-            hint = "one row vx, vy, vz, yaw_rate a robot"
-            raise SettingError(
-                f"{type(self).__name__}.decide must return the shape {wanted}, got {actions.shape}: {hint}"
-            )
-        return actions.reshape(*flat.shape[:-1], 4)
+        if agent is not None:
+            return self._robot(agent, flat)._act(flat)
+        if self.has_memory:
+            self._check_rows(flat)
+        elif flat.ndim == 1:
+            return self._act_alone(flat)
+        return self._act(flat)
 
     def rows(self, flat: np.ndarray) -> Rows:
         """Record views of flat observations: `own["vx"]`, `neighbors["f_ij"]`, ... (see fovconn_env.layout)."""
         return rows(flat, self.scenario.max_neighbors, self.scenario.max_ranges)
+
+    def _act(self, flat: np.ndarray) -> np.ndarray:
+        actions = np.asarray(self.decide(flat.reshape(-1, flat.shape[-1])))
+        wanted = flat.size // flat.shape[-1], 4
+        hint = "one row vx, vy, vz, yaw_rate a robot"
+        rule(actions.shape == wanted, f"what {type(self).__name__}.decide returns", f"{wanted}", actions.shape, hint)
+        return actions.reshape(*flat.shape[:-1], 4)
+
+    def _robot(self, agent: str, flat: np.ndarray) -> Self:
+        """The copy of the policy that a robot flies with."""
+        hint = "a stack of a whole team needs no agent"
+        rule(flat.ndim == 1, f"observation of {agent!r}", "one robot's, (D,)", flat.shape, hint)
+        hint = "a stack of the whole team, or agent=name in every step: call reset() in between"
+        rule(not self._n_rows, "policy.act", "called one way in an episode", f"agent={agent!r} after a stack", hint)
+        if agent not in self._robots:
+            agents = self.scenario.agents
+            rule(agent in agents, "agent", "a robot of the scenario", agent, closest(agent, agents))
+            shared: dict[int, Any] = {id(self.scenario): self.scenario, id(self._robots): {}}
+            self._robots[agent] = copy.deepcopy(self, shared)
+        return self._robots[agent]
+
+    def _check_rows(self, flat: np.ndarray) -> None:
+        """Raise `SettingError` unless a stack holds the rows of the stacks before it, of whole teams."""
+        name, n_agents, n_rows = type(self).__name__, self.scenario.n_agents, flat.size // max(flat.shape[-1], 1)
+        if flat.ndim == 1 and n_agents > 1:
+            hint = f"write policy.act(observation, agent=name), since {name} has a memory for each robot"
+            raise SettingError(f"agent must be the robot's name for one observation, got None: {hint}")
+        hint = f"{name} has a memory for each robot; one robot alone is policy.act(observation, agent=name)"
+        rule(n_rows % n_agents == 0, "rows of a stack", f"whole teams of {n_agents} robots", n_rows, hint)
+        hint = "a stack of the whole team, or agent=name in every step: call reset() in between"
+        rule(not self._robots, "policy.act", "called one way in an episode", "a stack after agent=name", hint)
+        hint = f"{name} remembers by row; call policy.reset() where an episode starts with other robots"
+        rule(self._n_rows in (0, n_rows), "rows of a stack", f"{self._n_rows} as in the steps before", n_rows, hint)
+        self._n_rows = n_rows
+
+    def _act_alone(self, flat: np.ndarray) -> np.ndarray:
+        """Act for a robot without a name; `SettingError` if that shows a memory that the class does not declare."""
+        before = dict(_attributes(self))
+        actions = self._act(flat)
+        after = dict(_attributes(self))
+        changed = [name for name, value in before.items() if value is not None and after.get(name) is not value]
+        if changed:
+            hint = "then write policy.act(observation, agent=name), and implement reset()"
+            name = f"{type(self).__name__}.{changed[0]}"
+            raise SettingError(f"{name} must stay as it is in decide, got another value: is it a memory? {hint}")
+        return actions
+
+
+def _attributes(policy: Policy) -> Iterator[tuple[str, Any]]:
+    """Names and values of a policy's attributes, with those of the policies among them."""
+    for name, value in vars(policy).items():
+        yield name, value
+        if isinstance(value, Policy):
+            yield from ((f"{name}.{below}", each) for below, each in _attributes(value))
+
+
+def _with_robots(forget: Callable[..., None]) -> Callable[..., None]:
+    """A subclass's `reset` that also forgets the robots called by name, whether or not it calls its base class's."""
+
+    @functools.wraps(forget)
+    def reset(self: Policy, mask: npt.ArrayLike | None = None) -> None:
+        by_name = bool(self._robots)
+        Policy.reset(self, mask)
+        if mask is None:
+            forget(self)
+        elif not by_name:  # else the memory is in the copies
+            forget(self, mask)
+
+    return reset
+
+
+Kind = TypeVar("Kind", bound=Policy)
+
+
+def make_class(
+    name: str, base: type[Kind], fields: Mapping[str, Any], maker: Callable[..., type[Kind]], *arguments: Any
+) -> type[Kind]:
+    """A subclass that is pickled as `maker(*arguments)`, which makes it."""
+    made: Any = PolicyType(name, (base,), {**fields, "__module__": base.__module__, "_made_by": (maker, arguments)})
+    return made
 
 
 def scenario_of(env: Any) -> Scenario:
     """The scenario of an environment or a simulator, or the given scenario."""
     result = env if isinstance(env, Scenario) else getattr(getattr(env, "unwrapped", env), "scenario", None)
     if not isinstance(result, Scenario):
-        raise SettingTypeError(f"env must be a fovconn environment, a Simulator or a Scenario, got {env!r}")
+        raise SettingTypeError(f"env must be a fovconn environment, a Simulator or a Scenario, got {env!r}: pass one")
     return result

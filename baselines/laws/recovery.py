@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from fovconn_env.baselines.laws.expert import Expert, Gains
 from fovconn_env.baselines.laws.simple import bearings, turn_camera, velocity_actions
@@ -40,7 +41,7 @@ class Recovery(Expert):
         self._expert = Expert(scenario, self.gains)
         self._memory = np.zeros(0, MEMORY)  # (R,)
 
-    def reset(self, mask: np.ndarray | None = None) -> None:
+    def reset(self, mask: npt.ArrayLike | None = None) -> None:
         """Clear the memory of all robots, or of those in `mask`, one bool a robot."""
         if mask is None:
             self._memory = np.zeros(0, MEMORY)

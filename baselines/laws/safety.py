@@ -18,12 +18,14 @@ limit is active, that is u + g' max(0, lack) / (g . g'), g' = g in units of the 
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from fovconn_env.baselines.laws.expert import descend_potential
-from fovconn_env.baselines.policy import Policy
+from fovconn_env.baselines.policy import Policy, make_class
 from fovconn_env.errors import check_numbers, non_negative, positive
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.world.kinematics import saturate
@@ -64,15 +66,21 @@ class Safe(Policy):
         """Actions (R, 4) for flat observations (R, D)."""
         return self.filter(flat, self.policy.decide(flat))
 
-    def reset(self, mask: np.ndarray | None = None) -> None:
-        """Forget the robots in `mask`."""
+    def reset(self, mask: npt.ArrayLike | None = None) -> None:
+        """Reset the filtered policy."""
         self.policy.reset(mask)
 
 
 def safe(kind: type[Policy], name: str | None = None) -> type[Safe]:
     """A policy class with the filter around it, called `name` in tables."""
-    fields = {"inner": kind, "overrides": kind.overrides, "oracle": kind.oracle, "__doc__": f"{kind.__doc__} Filtered."}
-    return type(f"safe-{name or kind.__name__}", (Safe,), {**fields, "__module__": __name__})
+    return _safe(kind, name or kind.__name__)
+
+
+@functools.cache  # one class, also for what was pickled
+def _safe(kind: type[Policy], name: str) -> type[Safe]:
+    fields = {"inner": kind, "overrides": kind.overrides, "oracle": kind.oracle, "has_memory": kind.has_memory}
+    fields["__doc__"] = f"{kind.__doc__} Filtered."
+    return make_class(f"safe-{name}", Safe, fields, _safe, kind, name)
 
 
 class Filter:

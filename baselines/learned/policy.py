@@ -27,7 +27,7 @@ from fovconn_env.baselines.learned.inputs import (
     gain,
     scales,
 )
-from fovconn_env.baselines.policy import Policy
+from fovconn_env.baselines.policy import Policy, make_class
 from fovconn_env.errors import SettingError
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.scenarios.scenario import Scenario
@@ -134,7 +134,12 @@ def correct_actions(
 
 def from_file(file: Path, name: str | None = None) -> type[Learned]:
     """The policy class of a file of weights; the file is read with the first instance."""
-    return type(name or file.stem, (Learned,), {"file": file, "__doc__": Learned.__doc__, "__module__": __name__})
+    return _from_file(file.absolute(), name or file.stem)
+
+
+@functools.cache  # one class, also for what was pickled
+def _from_file(file: Path, name: str) -> type[Learned]:
+    return make_class(name, Learned, {"file": file, "__doc__": Learned.__doc__}, _from_file, file, name)
 
 
 def load(file: Path) -> tuple[Card, Encoder, Head]:
