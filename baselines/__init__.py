@@ -8,7 +8,7 @@ from fovconn_env.baselines.laws.augmented import Augmented, AugmentedGains
 from fovconn_env.baselines.laws.cohesive import Cohesive, CohesiveGains
 from fovconn_env.baselines.laws.expert import Expert, Gains
 from fovconn_env.baselines.policy import Policy
-from fovconn_env.baselines.registry import POLICIES, find_policy, load_policy
+from fovconn_env.baselines.registry import POLICIES, find_policy, load_policy, source_files
 
 __all__ = [
     "POLICIES",
@@ -21,4 +21,5 @@ __all__ = [
     "Policy",
     "find_policy",
     "load_policy",
+    "source_files",
 ]

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 _PACKAGE, _FOLDER = "fovconn_env", Path(__file__).parent
+_OWN = "fovconn_env.baselines.own."  # below it are modules of users' files
 _INSTALLED = {sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
 
 
@@ -49,7 +50,8 @@ def users_frame(problem: BaseException) -> traceback.FrameSummary | None:
     """The innermost line on the way to an error that is neither this package's nor an installed library's."""
     for frame, line in reversed(list(traceback.walk_tb(problem.__traceback__))):
         file, module = frame.f_code.co_filename, str(frame.f_globals.get("__name__"))
-        ours = module.partition(".")[0] == _PACKAGE or (module == "__main__" and Path(file).is_relative_to(_FOLDER))
+        ours = module.partition(".")[0] == _PACKAGE and not module.startswith(_OWN)
+        ours = ours or (module == "__main__" and Path(file).is_relative_to(_FOLDER))
         if not ours and not file.startswith("<frozen") and not any(Path(file).is_relative_to(at) for at in _INSTALLED):
             return traceback.FrameSummary(file, line, frame.f_code.co_name)
     return None
@@ -71,7 +73,7 @@ def policy_code(doing: str) -> Iterator[None]:
     """
     try:
         yield
-    except Exception as problem:
+    except (Exception, SystemExit) as problem:  # a script may end Python
         place = place_of(problem)
         if isinstance(problem, FovconnError) and not place:
             raise SettingError(f"{doing} {problem}") from problem

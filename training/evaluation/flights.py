@@ -60,7 +60,7 @@ def fly(
 
     The result then has the finished episodes alone. Observers look on; raises as `rollout`.
     """
-    kind, meter = find_policy(policy) if isinstance(policy, str) else policy, Meter()
+    kind, meter = find_policy(policy), Meter()
     for simulator in rollout(kind, scenario, seeds, observers=[meter, *observers], n_threads=n_threads):
         step = simulator.state.episode["step"]
         if watch(float(np.where(simulator.over, 1.0, step / simulator.max_cycles).sum())) is False:
@@ -88,7 +88,7 @@ def join(parts: Sequence[Evaluation]) -> Evaluation:
 
 def label(policy: str | type[Policy]) -> str:
     """What a policy is called in tables: its name in POLICIES, or its class's."""
-    kind = find_policy(policy) if isinstance(policy, str) else policy
+    kind = find_policy(policy)
     return policy if isinstance(policy, str) and policy in POLICIES else kind.__name__
 
 

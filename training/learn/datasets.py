@@ -115,7 +115,7 @@ def record(
     progress: Callable[[float], None] = lambda done: None,
 ) -> Episodes:
     """Episodes of a policy that flies once from every seed; raises as `rollout`."""
-    kind = find_policy(policy) if isinstance(policy, str) else policy
+    kind = find_policy(policy)
     transitions = Transitions()
     for simulator in rollout(kind, scenario, seeds, observers=[transitions]):
         progress(float(simulator.over.mean()))
