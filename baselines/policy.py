@@ -125,8 +125,11 @@ class Policy(metaclass=PolicyType):
     def _act(self, flat: np.ndarray) -> np.ndarray:
         actions = np.asarray(self.decide(flat.reshape(-1, flat.shape[-1])))
         wanted = flat.size // flat.shape[-1], 4
-        hint = "one row vx, vy, vz, yaw_rate a robot"
-        rule(actions.shape == wanted, f"what {type(self).__name__}.decide returns", f"{wanted}", actions.shape, hint)
+        if actions.shape != wanted:
+            hint = "one row vx, vy, vz, yaw_rate a robot"
+            raise SettingError(
+                f"{type(self).__name__}.decide must return the shape {wanted}, got {actions.shape}: {hint}"
+            )
         return actions.reshape(*flat.shape[:-1], 4)
 
     def _robot(self, agent: str, flat: np.ndarray) -> Self:
