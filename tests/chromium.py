@@ -105,11 +105,13 @@ class Browser:
         """Until the page has drawn what it was asked for."""
         self.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))")
 
-    def press(self, key):
+    def press(self, key, /, **changes):
+        """Press and release a key; changes: what the event says otherwise, as an input method or Ctrl makes it."""
         code, number = _KEYS[key]
-        text = {"text": key} if len(key) == 1 else {}
+        event = {"key": key, "code": code, "windowsVirtualKeyCode": number, **changes}
+        text = {"text": key} if len(event["key"]) == 1 else {}
         for kind in ("keyDown", "keyUp"):
-            self.call("Input.dispatchKeyEvent", type=kind, key=key, code=code, windowsVirtualKeyCode=number, **text)
+            self.call("Input.dispatchKeyEvent", type=kind, **event, **text)
             text = {}
         self.settle()
 

@@ -227,6 +227,20 @@ def test_keys_and_the_button_play_and_step(show):
         assert shown.evaluate(expression) == value, number
 
 
+def test_keys_count_by_their_place_where_the_layout_hides_them(show):
+    shown = show()
+    for key, changes, expression, value in (
+        ("ArrowRight", {"key": "Process"}, "player.time", near(1.0)),  # an input method is on
+        ("ArrowRight", {"code": "Numpad6"}, "player.time", near(2.0)),  # the keypad without NumLock
+        ("ArrowLeft", {"code": ""}, "player.time", near(1.0)),  # a keyboard on the screen
+        ("ArrowRight", {"modifiers": 2}, "player.time", near(1.0)),  # with Ctrl it is the browser's
+        (" ", {"key": "Process"}, "player.playing", True),
+        (" ", {"code": ""}, "player.playing", False),
+    ):
+        shown.press(key, **changes)
+        assert shown.evaluate(expression) == value, (key, changes)
+
+
 @pytest.mark.parametrize("plot", ["lambda2", "yaw"])
 def test_a_click_into_a_plot_goes_there(show, plot):
     shown = show()

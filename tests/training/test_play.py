@@ -273,6 +273,19 @@ def test_a_scenario_without_leader():
     assert math.isnan(one.score().progress)
 
 
+def test_the_goal_is_told_and_how_far_it_is():
+    one = session()
+    simulator = one.simulator
+    place = np.array([*simulator.world.waypoint[0, 2], 0.0])
+    simulator.state.episode["waypoint"] = 2
+    for axis, value in zip("xyz", place - [0.0, 3.0, 0.0, 0.0], strict=False):
+        simulator.state.body[axis][0, 0] = value
+    assert one.goal() == "goal: leader to star 3, 3.0 m away   the team together"
+    free = session("Regroup-v0")
+    free.simulator.state.episode["held"] = 1.25
+    assert free.goal() == "goal: hold λ₂ at 1 or more, 1.2 of 5 s"
+
+
 def test_policies_and_scenarios_in_turn():
     one = fly(session(n_agents=3), 1)
     policies, names = [one.policy], [one.scenario.name]

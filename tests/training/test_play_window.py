@@ -188,7 +188,7 @@ def test_keys_move_the_leader_as_seen_from_the_front(app):
 
 def test_all_keys_do_something_and_nothing_breaks(app):
     for key in itertools.chain(*keyboard.TABLE.values()):
-        for name in key.names if key.does != "quit" else ():
+        for name in key.names if key.does not in ("quit", "confirm") else ():
             mod = pygame.KMOD_SHIFT if name.startswith("shift+") else 0
             tap(app, pygame.key.key_code(name.removeprefix("shift+")), mod)
             run(app, 1)
@@ -215,9 +215,103 @@ def test_pause_single_step_slow_motion_help_and_another_seed(app):
         run(app, steps)
         assert session.steps == flown
     assert session.seed == 4
-    for quits in (False, True):  # the help first
+
+
+def test_escape_asks_before_it_ends_a_flight(app):
+    """It closes the help first; the flight waits for the answer; another command is one, too."""
+    session, cockpit = app.cockpit.session, app.cockpit
+    tap(app, pygame.K_RETURN)
+    assert not cockpit.quit_requested, "nothing was asked"
+    tap(app, pygame.K_h)
+    for asks, steps in ((False, 2), (True, 2), (False, 4)):
         tap(app, pygame.K_ESCAPE)
-        assert (app.cockpit.help_page, app.cockpit.quit_requested) == (0, quits)
+        run(app, 2)
+        assert (cockpit.help_page, cockpit.asks, session.steps) == (0, asks, steps)
+    tap(app, pygame.K_ESCAPE)
+    tap(app, pygame.K_m)
+    assert not cockpit.asks
+    for key in (pygame.K_ESCAPE, pygame.K_KP_ENTER):
+        assert not cockpit.quit_requested
+        tap(app, key)
+    assert cockpit.quit_requested
+
+
+@pytest.mark.parametrize("app", [{"max_cycles": 3}], indirect=True)
+def test_after_a_flight_escape_closes_the_score_and_quits(app):
+    run(app, 4)
+    for quits in (False, True):
+        assert not app.cockpit.quit_requested
+        tap(app, pygame.K_ESCAPE)
+        assert app.cockpit.quit_requested == quits
+
+
+CYRILLIC = {"w": 0x446, "a": 0x444, "d": 0x432, "l": 0x434, "p": 0x437, "m": 0x44C, "z": 0x44F, ".": 0x44E}  # ЙЦУКЕН
+GREEK = {"w": 0x3C2, "a": 0x3B1, "d": 0x3B4, "l": 0x3BB, "p": 0x3C0, "m": 0x3BC, "z": 0x3B6}
+
+
+def place(name):
+    """The scancode of a key by its letter on a US keyboard."""
+    return getattr(pygame, f"KSCAN_{'PERIOD' if name == '.' else name.upper()}")
+
+
+@pytest.mark.parametrize("layout", [CYRILLIC, GREEK])
+def test_keys_work_where_letters_are_others(app, layout):
+    session, cockpit = app.cockpit.session, app.cockpit
+    for name, push in (("w", "forward"), ("a", "left"), ("d", "left")):
+        post(app, pygame.KEYDOWN, key=layout[name], scancode=place(name), mod=0)
+        run(app, 12)
+        assert session.speed == pytest.approx(1.0)
+        assert abs(getattr(cockpit.keyboard.update(0.0), push)) == 1.0
+        post(app, pygame.KEYUP, key=layout[name], scancode=place(name), mod=0)
+        run(app, 12)
+        assert session.speed == 0.0
+    for name in layout.keys() - {"w", "a", "d"}:
+        for kind in (pygame.KEYDOWN, pygame.KEYUP):
+            post(app, kind, key=layout[name], scancode=place(name), mod=0)
+    assert session.policy != "zero"  # p
+    assert cockpit._speed == 1  # m
+    assert not cockpit.settings.trails  # z
+    assert cockpit.paused == ("." in layout)
+
+
+@pytest.mark.parametrize(
+    "name, place, wanted",
+    [
+        ("w", "w", "w"),
+        ("z", "w", "w"),  # AZERTY: what lies there flies
+        ("w", "z", "z"),  # and its W, elsewhere, is no flying key
+        ("m", ";", "m"),  # M is beside L there
+        ("&", "1", "1"),  # digits need Shift there
+        ("z", "y", "z"),  # QWERTZ: letters of commands are the layout's
+        ("y", "z", "z"),
+        ("n", "l", "n"),  # Dvorak
+        ("", "p", "p"),  # no Latin letter
+        ("[3]", "", "3"),  # the keypad
+        ("[.]", "", "."),
+        ("enter", "", "return"),
+        ("up", "", "up"),
+        ("w", "", "w"),  # a place that nobody knows
+        ("", "", ""),
+    ],
+)
+def test_a_key_has_one_name_on_every_layout(name, place, wanted):
+    assert keyboard.name_of(name, place) == wanted
+
+
+def test_keypad_digits_take_over_robots_and_keys_of_the_desktop_do_nothing(app):
+    session, cockpit = app.cockpit.session, app.cockpit
+    tap(app, pygame.K_KP3)
+    assert session.flown == 2
+    tap(app, pygame.K_KP0)
+    assert session.flown is None
+    for mod in (pygame.KMOD_LCTRL, pygame.KMOD_LALT, pygame.KMOD_RGUI):
+        for key in (pygame.K_TAB, pygame.K_2, pygame.K_ESCAPE, pygame.K_n, pygame.K_w):
+            post(app, pygame.KEYDOWN, key=key, mod=mod)
+            run(app, 1)
+    assert (session.flown, session.seed, cockpit.asks, cockpit.keyboard._held) == (None, 3, False, set())
+    post(app, pygame.KEYDOWN, key=pygame.K_w, mod=0)
+    post(app, pygame.KEYUP, key=pygame.K_w, mod=pygame.KMOD_LCTRL)  # Ctrl came while it was held
+    assert cockpit.keyboard._held == set()
 
 
 def test_mouse(app):
@@ -271,13 +365,16 @@ def test_panels_stand_within_the_page(size, theme, monkeypatch):
     one.gamepad_removed()
     images.append(one.draw().copy())
     one.press("space")
+    one.press("escape")
+    images.append(one.draw().copy())
+    one.press("escape")
     while not one.session.over:
         one.advance(STEP)
     images.append(one.draw().copy())
     plain, *others = map(pygame.surfarray.array3d, images)
     assert all((other != plain).any(axis=-1).mean() > 0.02 for other in others)
     assert sum(map(len, drawn[:pages])) > 60
-    assert [len(rects) for rects in drawn[pages:]] == [6, 10]
+    assert [len(rects) for rects in drawn[pages:]] == [6, 5, 10]
     for rects in drawn:
         assert all(pygame.Rect((0, 0), size).contains(rect) for rect in rects)
         assert not [(a, b) for a, b in itertools.combinations(rects, 2) if a.colliderect(b)]
@@ -286,9 +383,9 @@ def test_panels_stand_within_the_page(size, theme, monkeypatch):
 def test_the_words_under_the_title():
     one = cockpit(policy="expert")
     assert one._lines()[0] == "you fly robot 1, the leader   0.00 of 1.5 m/s   stick 1 m/s"
-    assert one._lines()[-1] == "H shows the keys"
+    assert one._lines()[2:] == ["goal: leader to star 1, 8.0 m away   then 2 more", "H shows the keys"]
     one.advance(5.0)
-    assert "too slow a computer" in one._lines()[2]
+    assert "too slow a computer" in one._lines()[3]
     assert "H shows the keys" not in one._lines()
     one.press("m")
     for key, line in (("4", "you fly robot 4   "), ("0", "you fly none   ")):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import string
+
 import pygame
 from pygame._sdl2 import controller
 
@@ -9,6 +11,7 @@ from fovconn_env.errors import MachineError
 from fovconn_env.render.live.window import open_window
 from fovconn_env.training.play.cockpit import Cockpit
 from fovconn_env.training.play.gamepad import stick_of
+from fovconn_env.training.play.keyboard import name_of
 from fovconn_env.training.play.session import Session
 from fovconn_env.training.play.stick import REST, Stick, add_sticks
 
@@ -19,6 +22,9 @@ _STICKS = (
     pygame.CONTROLLER_AXIS_RIGHTX,
     pygame.CONTROLLER_AXIS_RIGHTY,
 )
+_NOT_OURS = pygame.KMOD_CTRL | pygame.KMOD_ALT | pygame.KMOD_GUI  # such keys are the desktop's
+_PLACES = {getattr(pygame, f"KSCAN_{name.upper()}"): name for name in string.ascii_lowercase + string.digits}
+_PLACES[pygame.KSCAN_PERIOD] = "."
 
 
 class App:
@@ -33,6 +39,7 @@ class App:
                 f"play needs a display to open a window, got none ({problem}): start it on a desktop or with xvfb-run; "
                 "fovconn demo flies without a person and writes pictures"
             ) from problem
+        pygame.key.stop_text_input()  # an input method would keep keys for itself
         pygame.joystick.init()
         if not controller.get_init():  # twice, each button would be pushed twice
             controller.init()
@@ -74,9 +81,10 @@ class App:
         if event.type == pygame.QUIT or (event.type == pygame.WINDOWCLOSE and event.window is self._window):
             cockpit.quit_requested = True
         elif event.type == pygame.KEYDOWN:
-            cockpit.press("shift+" * bool(event.mod & pygame.KMOD_SHIFT) + _key_name(event.key))
+            if not event.mod & _NOT_OURS:
+                cockpit.press("shift+" * bool(event.mod & pygame.KMOD_SHIFT) + _key_name(event))
         elif event.type == pygame.KEYUP:
-            cockpit.release(_key_name(event.key))
+            cockpit.release(_key_name(event))
         elif event.type == pygame.WINDOWFOCUSLOST:
             cockpit.keyboard.release_all()
         elif event.type == pygame.MOUSEMOTION and event.buttons[0]:
@@ -106,5 +114,5 @@ class App:
         return stick_of(*(max(pad.get_axis(axis) / _AXIS_MAX, -1.0) for axis in _STICKS))
 
 
-def _key_name(key: int) -> str:
-    return pygame.key.name(key).lower()
+def _key_name(event: pygame.Event) -> str:
+    return name_of(pygame.key.name(event.key).lower(), _PLACES.get(event.dict.get("scancode", 0), ""))

@@ -36,7 +36,7 @@ class Cockpit:
         self.session, self.theme = session, theme
         self.keyboard, self.pad = Keyboard(), REST
         self.pace = Pace(session.scenario.step_time)
-        self.paused = self.ended = self.quit_requested = False
+        self.paused = self.ended = self.asks = self.quit_requested = False
         self.own_links = False  # show the links of the flown robot, or of the leader, alone
         self.help_page = 0  # number of the visible help page, 0 for none
         self.reason = ""  # of a pause that the person did not ask for
@@ -68,6 +68,7 @@ class Cockpit:
         """Run a command: a method of the session, which returns a sentence, or a `do_` method."""
         own = getattr(self, f"do_{key.does}", None)
         command = own or getattr(self.session, key.does)
+        self.asks = self.asks and key.does in ("quit", "confirm")  # another command goes on with the flight
         value = () if key.does not in ("fly", "next_robot", "next_policy", "next_scenario") else (key.value,)
         self.say(command(*value) or "")
         if key.does in ("again", "new_seed", "next_scenario") or self.session.scenario is not self._scenario:
@@ -149,8 +150,14 @@ class Cockpit:
             self.help_page = 0
         elif self.ended and not self._score_closed:
             self._score_closed = True  # closes the score, to show the picture
-        else:
+        elif self.session.over:
             self.quit_requested = True
+        else:
+            self.asks = not self.asks
+        return ""
+
+    def do_confirm(self) -> str:
+        self.quit_requested = self.asks
         return ""
 
     # ---------------------------------------------------------------------------------------------------------- time
@@ -162,8 +169,8 @@ class Cockpit:
 
     @property
     def halted(self) -> bool:
-        """Whether the flight's time stands still: a pause, the help, or the end."""
-        return self.paused or self.help_page > 0 or self.session.over
+        """Whether the flight's time stands still: a pause, the help, a question, or the end."""
+        return self.paused or self.asks or self.help_page > 0 or self.session.over
 
     def say(self, sentence: str) -> None:
         """Show a sentence for `SHOWN` s."""
@@ -188,7 +195,7 @@ class Cockpit:
         view.overlay, view.flown_robot = self._lines(), session.flown
         selected = session.leader if session.flown is None else session.flown
         self.settings = dataclasses.replace(self.settings, linked=selected if self.own_links else None)
-        panel = self.help_page, self.paused, self.reason, self.ended and not self._score_closed
+        panel = self.help_page, self.asks, self.paused, self.reason, self.ended and not self._score_closed
         content = session.simulator, session.seed, session.steps, session.leader, str(view.settings), view.overlay
         lag = 0.0 if self.halted else 1.0 - min(self.pace.begun, 1.0)
         content = *content, view.flown_robot, view.size, self.theme, panel, lag
@@ -201,6 +208,8 @@ class Cockpit:
             number = min(self.help_page, len(pages))  # fewer pages after the window has grown
             foot = f"{number} of {len(pages)}   H: next   Esc: close" if len(pages) > 1 else ""
             draw_panel(page, theme, HELP, pages[number - 1], foot=foot, veil=225)
+        elif self.asks:
+            draw_panel(page, theme, "End this flight?", [[("", [("Enter", "quit"), ("Esc", "go on")])]])
         elif panel[-1]:
             score, files = session.score(), f", recorded in {session.files[-1].name}" if session.files else ""
             foot = "Backspace: again   N: next seed   Esc: look"
@@ -220,6 +229,7 @@ class Cockpit:
         lines = [
             f"{flown}{role}   {session.speed:.2f} of {limit:g} m/s",
             f"{session.policy}   seed {session.seed}{slow}",
+            session.goal(),
         ]
         if session.full_stick < limit and session.flown is not None:
             lines[0] += f"   stick {session.full_stick:g} m/s"
@@ -248,7 +258,7 @@ class Cockpit:
 
     def _after_restart(self) -> None:
         """Reset the state of the user interface after another flight has begun."""
-        self.paused = self.ended = self._score_closed = False
+        self.paused = self.ended = self.asks = self._score_closed = False
         self.reason = ""
         if self.session.scenario is not self._scenario:
             self._scenario = self.session.scenario

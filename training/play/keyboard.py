@@ -1,6 +1,7 @@
 """The keys of `fovconn play`, and a `Stick` with ramps from held keys. Imports no library.
 
-Names are those of `pygame.key.name`, with "shift+" in front if Shift is held.
+Names are those of `pygame.key.name`, with "shift+" in front if Shift is held; `name_of` gives a pressed key its name
+on any layout.
 """
 
 from __future__ import annotations
@@ -61,11 +62,29 @@ TABLE: dict[str, tuple[Key, ...]] = {
         Key(("b",), "above", "view from above, beside"),
         Key(("t",), "theme", "light or dark"),
         Key(("h", "f1"), "help", "these keys"),
-        Key(("escape",), "quit", "close what is open, or quit"),
+        Key(("escape",), "quit", "close what is open, or ask whether to quit"),
+        Key(("return",), "confirm", "quit, when asked"),
     ),
 }
 MOUSE = (("drag", "turn the view"), ("wheel", "nearer, farther"), ("right click", "the view as it was"))
 _BY_NAME = {name: key for keys in TABLE.values() for key in keys for name in key.names}
+
+
+_FLYING = {name for key in TABLE["fly"] if key.does in Stick._fields for name in key.names if len(name) == 1}
+_KEYPAD = {f"[{digit}]": digit for digit in "0123456789."} | {"enter": "return"}
+
+
+def name_of(name: str, place: str) -> str:
+    """The name in `TABLE` of a key with a name on the person's layout, at a place of the keyboard.
+
+    place: the name of the key there on a US layout, "" if unknown. Keys that fly lie where they do on a US keyboard,
+    whatever their letters. Other letters are the layout's; where they mean nothing, as Cyrillic ones, the place counts.
+    """
+    name = _KEYPAD.get(name, name)
+    if place in _FLYING:
+        return place
+    known = name in _BY_NAME and (not place or name not in _FLYING)
+    return name if known else place or name
 
 
 def find_key(name: str) -> Key | None:
@@ -90,7 +109,11 @@ def rows(group: str) -> list[tuple[str, str]]:
 
 def _label(name: str) -> str:
     arrows = {"up": "↑", "down": "↓", "left": "←", "right": "→", "page up": "PgUp", "page down": "PgDn"}
-    return arrows.get(name) or {"escape": "Esc"}.get(name) or (name.upper() if len(name) == 1 else name.capitalize())
+    return (
+        arrows.get(name)
+        or {"escape": "Esc", "return": "Enter"}.get(name)
+        or (name.upper() if len(name) == 1 else name.capitalize())
+    )
 
 
 class Keyboard:

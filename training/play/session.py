@@ -181,6 +181,18 @@ class Session:
         """Whether the flight has ended."""
         return bool(self.simulator.over[0])
 
+    def goal(self) -> str:
+        """What the flight is about, and how far it is, in one line; three blanks before what may be left out."""
+        course, episode, world = self.scenario.course, self.simulator.state.episode[0], self.simulator.world
+        if not self.led:
+            so_far = f"{episode['held']:.1f} of {course.goal_hold:g} s"
+            return f"goal: hold λ₂ at {course.goal_lambda2:g} or more, {so_far}"
+        last = int(world.n_waypoints[0]) - 1
+        star = min(int(episode["waypoint"]), last)
+        far = float(np.linalg.norm(world.waypoint[0, star] - self.simulator.poses()[0, self.leader, :3]))
+        end = "   the team together" if star == last else f"   then {last - star} more"
+        return f"goal: leader to star {star + 1}, {far:.1f} m away{end}"
+
     @property
     def steps(self) -> int:
         """Number of flown steps."""

@@ -71,7 +71,7 @@ class Player {
   press(event) {
     const step = event.shiftKey ? this.flight.interval : 1, speed = element("speed");
     const keys = {
-      " ": () => this.toggle(),
+      Space: () => this.toggle(),
       ArrowLeft: () => this.seek(this.time - step),
       ArrowRight: () => this.seek(this.time + step),
       ArrowUp: () => { speed.selectedIndex = Math.min(speed.selectedIndex + 1, speed.length - 1); },
@@ -79,10 +79,12 @@ class Player {
       Home: () => this.seek(0),
       End: () => this.seek(this.flight.end),
     };
-    const busy = event.target.tagName === "SELECT" || (event.key === " " && event.target.type === "checkbox");
-    if (!keys[event.key] || busy || event.ctrlKey || event.altKey || event.metaKey) return;
+    const named = event.key === " " ? "Space" : event.key; // an input method hides it; the code is the key's place
+    const act = keys[event.code] ?? keys[named], space = act === keys.Space;
+    const busy = event.target.tagName === "SELECT" || (space && event.target.type === "checkbox");
+    if (!act || busy || event.ctrlKey || event.altKey || event.metaKey) return;
     event.preventDefault();
-    keys[event.key]();
+    act();
   }
 
   toggle() {
