@@ -40,14 +40,14 @@ def check_whole(name: str, value: Any, least: int, most: int, hint: str) -> None
     rule(bool(least <= value <= most), name, f"in {least}..{most}", value, hint)
 
 
-def check_array(name: str, array: Any, dtype: str, shape: Sequence[int]) -> None:
-    """The value must be an array of that type and shape, in which -1 is any size, of finite numbers."""
+def check_array(name: str, array: Any, dtype: str, shape: Sequence[int], *, finite: bool = True) -> None:
+    """The value must be an array of that type and shape, in which -1 is any size; its numbers must be finite."""
     rule(isinstance(array, np.ndarray), name, "an array", type(array).__name__, "is it of another version?")
     wanted = np.dtype(dtype)
     rule(array.dtype == wanted, name, f"of the type {wanted.name}", str(array.dtype), "was it written by other code?")
     fits = array.ndim == len(shape) and all(n in (-1, m) for n, m in zip(shape, array.shape, strict=True))
     sizes = ", ".join("n" if n == -1 else str(n) for n in shape)
     rule(fits, name, f"of the shape ({sizes})", array.shape, "arrays and header must be of the same flights")
-    if wanted.kind == "f" and not np.isfinite(array).all():
+    if finite and wanted.kind == "f" and not np.isfinite(array).all():
         at = np.argwhere(~np.isfinite(array))[0].tolist()
         rule(False, name, "finite", float(array[tuple(at)]), f"at {at}")

@@ -30,7 +30,7 @@ _MAGIC = b"PK\x03\x04"  # a zip file's first bytes
 _NAME_AT = 30  # byte at which the name of its first member stands
 _START, _END = 128, 1 << 16  # bytes at the ends of a file in which it is looked for
 _OLD_MEMBER = "told"  # the header of files of version 0.1
-_LONG = 240  # letters of a message
+_LONG = 400  # letters of a message
 
 
 class OtherKind(FovconnError, ValueError):
@@ -162,8 +162,7 @@ def parse_json(data: bytes) -> Any:
         inner = (item.values() if isinstance(item, dict) else item for item in level if isinstance(item, (dict, list)))
         level = [part for parts in inner for part in parts if isinstance(part, (dict, list))]
         depth += 1
-    if b"\\u" in data:
-        json.dumps(value, ensure_ascii=False).encode()  # half a letter cannot be printed, nor written to a file
+    json.dumps(value, ensure_ascii=False, allow_nan=False).encode()  # no 1e999, and no half of a surrogate pair
     return value
 
 

@@ -17,8 +17,8 @@ import numpy as np
 
 MAX_MEMBERS = 4096  # the checkpoint of a training on ten scenarios has some 400
 # Bytes of all arrays together. Flights shrink to a half or a tenth; robots that stand still shrink a thousandfold, and
-# such a file is written without compression. 5 MB are at most 378 MiB.
-ALWAYS, RATIO = 128 << 20, 50
+# such a file is written without compression. 5 MB are at most 271 MiB.
+ALWAYS, RATIO = 128 << 20, 30
 _PIECE = 1 << 20  # bytes that are read at once; the directory of MAX_MEMBERS has less
 _MAGIC = b"\x93NUMPY\x01\x00"  # of version 1.0 of the format, whose header is at most 64 KiB long
 _HEADER = re.compile(

@@ -126,5 +126,5 @@ def refused(data, message, limit=5e6):
     assert len(str(problem.value)) < 400
 
 
-def test_a_file_of_5_megabytes_is_at_most_378():
-    assert max_bytes(5_000_000) < 400e6
+def test_a_file_of_5_megabytes_holds_less_than_300():
+    assert max_bytes(5_000_000) < 300e6

@@ -6,7 +6,7 @@ import pytest
 
 from fovconn_env.training.evaluation import __main__ as command
 from fovconn_env.training.evaluation import check_results, levels
-from fovconn_env.training.evaluation.check_results import _bars_of_laws, _bars_of_levels, check, complete
+from fovconn_env.training.evaluation.check_results import _bars_of_laws, _bars_of_levels, check, complete, repeated
 from fovconn_env.training.evaluation.record import Record, Result, to_json, write_json
 from fovconn_env.training.evaluation.statistics import Estimate
 
@@ -76,3 +76,17 @@ def test_the_exit_status(monkeypatch, tmp_path, capsys):
     assert "does not hold: pigs fly\n1 of 2 claims" in capsys.readouterr().out
     assert command.main(["levels", "lerned"]) == command.main([]) == 2
     assert "give some of levels, learned, check; got lerned" in capsys.readouterr().err
+
+
+def test_code_that_a_record_names_is_not_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "evil.py").write_text("open('ran', 'w').close()")
+    for name in ("evil.py:Evil", "safe:evil.py", "evil:Evil"):
+        rows = [result(name, 0.9)._replace(episodes={"duration": [1.0]})]
+        records = dict.fromkeys(
+            ("full", "thousand", "fast", "levels", "learned", "ablations"), Record("eval", [0], {}, [])
+        )
+        records["fast"] = Record("eval", [0], {name: {"overrides": {}, "oracle": False}}, rows)
+        assert "fast is of our own policies" in failed(complete(records))
+        assert list(repeated(records["fast"])) == []
+    assert not (tmp_path / "ran").exists()

@@ -7,6 +7,8 @@ import pytest
 
 from fovconn_env import Recorder, Simulator
 from fovconn_env.baselines import Expert
+from fovconn_env.errors import SettingError
+from fovconn_env.files import Damaged, read_archive, write_archive
 from fovconn_env.training.learn import datasets
 from fovconn_env.training.learn.datasets import EPISODES, STEPS, load, record, save
 from tests.helpers import small
@@ -178,3 +180,64 @@ def test_the_command(fovconn, tmp_path):
         assert shown.status == 2
         assert message in shown.err
         assert shown.err.count("\n") == 1
+
+
+# -------------------------------------------------------------------------- right checksums, and contents of no flight
+def header(**changes):
+    return lambda archive: archive._replace(header=archive.header | changes)
+
+
+def array(name, change):
+    return lambda archive: archive._replace(arrays=archive.arrays | {name: change(archive.arrays.get(name))})
+
+
+def put(value, at):
+    def change(values):
+        values = values.copy()
+        values[at] = value
+        return values
+
+    return change
+
+
+HOSTILE = {
+    "key gone": (lambda a: a._replace(header={k: v for k, v in a.header.items() if k != "columns"}), "with 'columns'"),
+    "key more": (header(code="x"), "got 'code'"),
+    "policy": (header(policy=["expert"]), "policy and version of .* must be printable texts"),
+    "escapes": (header(policy="\x1b[2J"), "policy and version of .* must be printable texts"),
+    "columns": (header(columns=[]), "columns of .* must be an object"),
+    "names": (header(columns={"action": [1]}), "columns 'action' of .* must be printable texts"),
+    "scenario": (header(scenario="x"), "scenario of .* must be an object"),
+    "rows": (header(max_neighbors=10**9), r"max_neighbors of .* must be in 1\.\.10000"),
+    "units": (header(action_units=[1, 1, 1]), "action_units of .* must be 4 numbers above 0"),
+    "infinite units": (header(action_units=[10**400] * 4), "action_units of .* must be 4 numbers above 0"),
+    "nested units": (header(action_units=[[1]] * 4), "action_units of .* must be 4 numbers above 0"),
+    "other width": (header(max_ranges=1), "observations of .* must be of .* columns"),
+    "array gone": (lambda a: a._replace(arrays={"length": a.arrays["length"]}), "arrays of .* must be an object with"),
+    "array more": (array("extra", lambda _: np.zeros(2)), "got 'extra'"),
+    "type": (array("observations", lambda v: v.astype("f8")), "observations of .* must be of the type float32"),
+    "shape": (array("actions", lambda v: v[:, :3]), r"actions of .* must be of the shape \(n, 4\)"),
+    "flat": (array("rewards", lambda v: v[:, None]), r"rewards of .* must be of the shape \(n\)"),
+    "number": (array("length", lambda v: v[0]), r"length of .* must be of the shape \(n\)"),
+    "length below": (array("length", put(-(2**62), 0)), "length of .* must be at least 1 each"),
+    "length beyond": (array("length", put(2**62, slice(None))), "length of .* must be .*, and no more than there are"),
+    "length moved": (
+        array("length", lambda v: np.roll(put(v[0] + 1, 0)(put(v[1] - 1, 1)(v)), 1)),
+        "ends of .* must be",
+    ),
+    "ends": (array("truncations", put(True, 3)), "ends of .* must be terminations or truncations at each last step"),
+    "both ends": (array("terminations", put(True, -1)), "ends of .* must be terminations or truncations"),
+    "actions": (array("actions", put(7.0, (2, 1))), r"actions of .* must be in \[-1, 1\], got 7"),
+}
+
+
+@pytest.mark.parametrize("case", HOSTILE)
+def test_contents_of_no_flight_are_refused(case, episodes, tmp_path):
+    change, message = HOSTILE[case]
+    file = save(episodes, tmp_path / "flights.npz")
+    write_archive(file, datasets.KIND, change(read_archive(file, datasets.KIND)))
+    with pytest.raises(SettingError if case == "other width" else Damaged, match=message) as problem:
+        load(file)
+    assert str(problem.value).isprintable()
+    assert str(file) in str(problem.value)
+    assert len(str(problem.value)) < 600

@@ -8,6 +8,8 @@ import pytest
 
 from fovconn_env import LEVELS, scenario
 from fovconn_env.baselines import find_policy
+from fovconn_env.errors import SettingError
+from fovconn_env.files import Damaged
 from fovconn_env.training.evaluation import evaluate, learned, levels, summary
 from fovconn_env.training.evaluation.check_results import repeated
 from fovconn_env.training.evaluation.comparison import paired
@@ -87,6 +89,44 @@ def test_what_holds_no_other_object_is_on_one_line(tmp_path):
 def test_another_format_is_refused():
     with pytest.raises(ValueError, match="format 2, got 1: fly the study again"):
         from_json({"format": 1})
+
+
+NO_RECORDS = {
+    "list": (lambda data: [data], "a record must be a JSON object, got 'list'"),
+    "yes": (lambda data: data | {"format": True}, "of the format 2, got True"),
+    "key gone": (lambda data: {key: value for key, value in data.items() if key != "seeds"}, "an object with 'seeds'"),
+    "key more": (lambda data: data | {"code": "x"}, "got 'code'"),
+    "seeds": (lambda data: data | {"seeds": [1.5]}, "seeds must be a whole number, got 'float'"),
+    "results": (lambda data: data | {"results": {}}, "results must be a list, got 'dict'"),
+    "row": (lambda data: data | {"results": [None]}, r"results\[0\] must be an object"),
+    "measures": (lambda data: changed_row(data, measures={"success": [1, 2]}), r"a number, or \[value, low, high\]"),
+    "measure": (lambda data: changed_row(data, measures={"success": "1"}), "must be numbers or null, got"),
+    "count": (lambda data: changed_row(data, count=1e9), "count must be a whole number"),
+    "policy": (lambda data: changed_row(data, policy="\x1b[2J"), "must be printable texts"),
+    "episodes": (lambda data: changed_row(data, episodes={"success": [[1]]}), "must be numbers or null"),
+    "against": (lambda data: changed_row(data, against=[]), "against must be an object"),
+}
+
+
+def changed_row(data, **changes):
+    return data | {"results": [data["results"][0] | changes]}
+
+
+@pytest.mark.parametrize("case", NO_RECORDS)
+def test_what_is_no_record_is_refused(case, tmp_path):
+    change, message = NO_RECORDS[case]
+    data = change(to_json(Record("eval", [3, 4], {"omni": {"oracle": False}}, [made_up()])))
+    (tmp_path / "a.json").write_text(json.dumps(data))
+    with pytest.raises(SettingError, match=message) as problem:
+        load(tmp_path / "a.json")
+    assert str(problem.value).isprintable()
+
+
+def test_a_file_that_is_no_json_is_damaged(tmp_path):
+    for text in ("{", "[" * 5000, '{"a": NaN}', "1e999", r'"\ud800"', "\xff"):
+        (tmp_path / "a.json").write_text(text, "latin1")
+        with pytest.raises(Damaged, match=r"a\.json is no record, or damaged"):
+            load(tmp_path / "a.json")
 
 
 def test_a_setting_that_json_does_not_have():

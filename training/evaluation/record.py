@@ -21,13 +21,14 @@ import numpy as np
 
 import fovconn_env
 from fovconn_env.baselines import find_policy
-from fovconn_env.errors import SettingError
-from fovconn_env.files import write_text
+from fovconn_env.files import read_json, write_text
 from fovconn_env.flights.metrics import ERRORS
 from fovconn_env.training.evaluation.flights import SHARES, Evaluation, summary
+from fovconn_env.training.evaluation.record_checks import check_record
 from fovconn_env.training.evaluation.statistics import NOTHING, Estimate
 
 FORMAT = 2  # 1: tables of text
+MAX_BYTES = 256 << 20  # of a file; all policies on all scenarios with 320 episodes each take some 30 MB
 SAMPLE = 4  # episodes of each result in a short record
 UNITS = {
     "never_disconnected success collision connected_share mutual_share one_way_share saturated_share": "share",
@@ -137,18 +138,17 @@ def to_json(record: Record) -> dict[str, Any]:
     return head | {"seeds": record.seeds, "units": units, "policies": record.policies} | body
 
 
-def from_json(data: Mapping[str, Any]) -> Record:
-    """The record of a JSON object; `ValueError` for one of another format."""
-    if data.get("format") != FORMAT:
-        raise SettingError(f"a record must have the format {FORMAT}, got {data.get('format')!r}: fly the study again")
+def from_json(data: Any) -> Record:
+    """The record of a JSON object; `SettingError` for one of another format, and for what is no record."""
+    check_record(data, FORMAT)
     results, overall = ([_result_from_json(row) for row in data.get(name, ())] for name in ("results", "overall"))
     policies, scenarios = data["policies"], data.get("scenarios", {})
     return Record(data["study"], data["seeds"], policies, results, overall, scenarios, data["run"], data["fovconn_env"])
 
 
 def load(file: Path) -> Record:
-    """The record of a file; raises `OSError`, and `ValueError` if it holds something else."""
-    return from_json(json.loads(file.read_text("utf-8")))
+    """The record of a file; raises `OSError`, `files.OtherKind`, `files.Damaged`, and `SettingError` as `from_json`."""
+    return from_json(read_json(file, "record", MAX_BYTES))
 
 
 def write_json(file: Path, data: Mapping[str, Any]) -> Path:

@@ -23,11 +23,13 @@ import numpy as np
 import fovconn_env
 from fovconn_env import Recording, Scenario, Simulator
 from fovconn_env.baselines import Policy, find_policy
-from fovconn_env.baselines.learned.inputs import columns, full_scale
+from fovconn_env.baselines.learned.inputs import ACTION, columns, full_scale
 from fovconn_env.errors import SettingError, rule
-from fovconn_env.files import Archive, Kind, read_archive, write_archive
+from fovconn_env.fields import check_array, check_keys, check_texts, check_whole
+from fovconn_env.files import Archive, Damaged, Kind, one_line, printable, read_archive, write_archive
 from fovconn_env.flights.recording import replay
 from fovconn_env.flights.rollout import Observer, rollout
+from fovconn_env.layout import observation_size
 from fovconn_env.scenarios.serialize import scenario_to_json
 from fovconn_env.training.evaluation.flights import label
 
@@ -37,6 +39,7 @@ KIND = Kind(
 STEPS = ("actions", "rewards", "terminations", "truncations")  # one row a step
 EPISODES = ("length", "seed", "agent", "success", "never_disconnected")
 KINDS = {"observations": "f4", "actions": "f4", "rewards": "f4", "terminations": "?", "truncations": "?"}
+MAX_ROWS, MAX_UNIT = 10_000, 1e6  # more neighbours, ranges and m/s than any data set has
 KINDS |= {"length": "i8", "seed": "i8", "agent": "i8", "success": "?", "never_disconnected": "?"}
 
 
@@ -161,39 +164,86 @@ def save(episodes: Episodes, file: str | Path) -> Path:
 
 
 def load(file: str | Path) -> Episodes:
-    """Read and check a file. Raises `ValueError` that names the file, the field and the rule."""
+    """Read and check a file.
+
+    Raises `OSError`, `files.OtherKind`, `files.Damaged`, and `SettingError` for what no training can use; both name
+    file, field and rule.
+    """
     file = Path(file)
-    rule(file.is_file(), "data set", "a file that exists", str(file), KIND.source)
-    header, arrays = read_archive(file, KIND)
+    rule(file.exists(), "data set", "a file that exists", str(file), KIND.source)
+    return from_archive(read_archive(file, KIND), printable(str(file)))
+
+
+def from_archive(archive: Archive, path: str) -> Episodes:
+    """The episodes of a file's contents; path: its name in errors. Raises as `load`."""
+    header, arrays = archive
+    try:
+        _check_header(path, header)
+        _check_arrays(path, arrays)
+    except SettingError as problem:
+        raise Damaged(one_line(problem)) from problem
     for table, names in columns().items():
-        stored = header.get("columns", {}).get(table, [])
+        stored = header["columns"].get(table, [])
         odd = sorted(set(stored) ^ set(names)) or "another order"
         hint = f"recorded with another observation layout, which differs in {odd}; record it anew"
-        rule(stored == names, f"columns {table!r} of {file}", f"the {len(names)} of this version", len(stored), hint)
-    _check(file, arrays)
+        rule(stored == names, f"columns {table!r} of {path}", f"the {len(names)} of this version", len(stored), hint)
+    width, given = observation_size(header["max_neighbors"], header["max_ranges"]), arrays["observations"].shape[1]
+    hint = "max_neighbors and max_ranges of its header say so"
+    rule(given == width, f"observations of {path}", f"of {width} columns", given, hint)
+    for name in ("observations", "actions", "rewards"):
+        _check_finite(path, name, arrays)
     return Episodes(arrays, header)
 
 
-def _check(file: Path, arrays: dict[str, np.ndarray]) -> None:
-    rule(
-        set(arrays) == set(KINDS),
-        f"arrays of {file}",
-        ", ".join(KINDS),
-        sorted(arrays),
-        "see training/learn/datasets.py",
-    )
-    steps, count = int(arrays["length"].sum()), len(arrays["length"])
-    rule(count > 0, f"episodes of {file}", "at least 1", count, "an empty data set teaches nothing")
+def _check_header(path: str, header: dict[str, Any]) -> None:
+    name, texts = f"header of {path}", ("policy", "fovconn_env")
+    check_keys(name, header, (*texts, "scenario", "columns", "max_neighbors", "max_ranges", "action_units"))
+    check_texts(f"policy and version of {path}", [header[key] for key in texts])
+    for key in ("scenario", "columns"):
+        rule(isinstance(header[key], dict), f"{key} of {path}", "an object", type(header[key]).__name__, "see docs")
+    for table, names in header["columns"].items():
+        check_texts(f"columns of {path}", [table])
+        check_texts(f"columns {table!r} of {path}", names)
+    for key in ("max_neighbors", "max_ranges"):
+        check_whole(f"{key} of {path}", header[key], 1, MAX_ROWS, "rows of an observation")
+    units = header["action_units"]
+    numbers = isinstance(units, list) and len(units) == ACTION and all(type(unit) in (int, float) for unit in units)
+    fine = numbers and all(0 < unit <= MAX_UNIT for unit in units)
+    rule(fine, f"action_units of {path}", f"{ACTION} numbers above 0", units, "m/s and rad/s of a full share")
+
+
+def _check_arrays(path: str, arrays: dict[str, np.ndarray]) -> None:
+    """Types and sizes; that all numbers are finite is checked where they can be named."""
+    check_keys(f"arrays of {path}", arrays, tuple(KINDS))
+    length = arrays["length"]
+    check_array(f"length of {path}", length, KINDS["length"], (-1,))
+    count, hint = len(length), "lengths say so"
+    rule(count > 0, f"episodes of {path}", "at least 1", count, "an empty data set teaches nothing")
+    fine = bool((length >= 1).all() and (length <= arrays["observations"].size).all())
+    rule(fine, f"length of {path}", "at least 1 each, and no more than there are", length[:3].tolist(), "steps")
+    steps = int(length.sum())
+    inner = {"observations": (-1,), "actions": (ACTION,)}
     for name, array in arrays.items():
         wanted = steps + count if name == "observations" else steps if name in STEPS else count
-        rule(len(array) == wanted, f"{name} of {file}", f"{wanted} rows", len(array), "lengths say so")
-    for name in ("observations", "actions", "rewards"):
-        bad = ~np.isfinite(arrays[name]).reshape(len(arrays[name]), -1)
-        if bad.any():
-            row, column = np.argwhere(bad)[0].tolist()
-            edges = np.cumsum(arrays["length"] + (name == "observations"))
-            e = int(np.searchsorted(edges, row, side="right"))
-            step = row - (int(edges[e - 1]) if e else 0)
-            at = f"uav_{arrays['agent'][e]} of seed {arrays['seed'][e]}, step {step}, column {column}"
-            value = arrays[name].reshape(len(bad), -1)[row, column]
-            raise SettingError(f"{name} of {file} must be finite, got {value} for {at}: leave that episode out")
+        check_array(f"{name} of {path}", array, KINDS[name], (-1, *inner.get(name, ())), finite=False)
+        rule(len(array) == wanted, f"{name} of {path}", f"{wanted} rows", len(array), hint)
+    ends = np.zeros(steps, bool)
+    ends[np.cumsum(length) - 1] = True
+    once = bool(((arrays["terminations"] ^ arrays["truncations"]) == ends).all())
+    once = once and not (arrays["terminations"] & arrays["truncations"]).any()
+    rule(once, f"ends of {path}", "terminations or truncations at each last step, and nowhere else", once, hint)
+    units = arrays["actions"]
+    rule(not (abs(units) > 1.0).any(), f"actions of {path}", "in [-1, 1]", float(np.nanmax(abs(units))), "shares")
+
+
+def _check_finite(path: str, name: str, arrays: dict[str, np.ndarray]) -> None:
+    """`SettingError` that names robot, seed and step of the first number that is not finite."""
+    bad = ~np.isfinite(arrays[name]).reshape(len(arrays[name]), -1)
+    if bad.any():
+        row, column = np.argwhere(bad)[0].tolist()
+        edges = np.cumsum(arrays["length"] + (name == "observations"))
+        e = int(np.searchsorted(edges, row, side="right"))
+        step = row - (int(edges[e - 1]) if e else 0)
+        at = f"uav_{arrays['agent'][e]} of seed {arrays['seed'][e]}, step {step}, column {column}"
+        value = arrays[name].reshape(len(bad), -1)[row, column]
+        raise SettingError(f"{name} of {path} must be finite, got {value} for {at}: leave that episode out")
