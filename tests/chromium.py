@@ -146,7 +146,7 @@ class Browser:
         try:
             self._session = None
             self.call("Browser.close")
-            self._process.wait(10)
+            self._process.wait(600)
         finally:
             self._process.kill()
             self._process.wait()

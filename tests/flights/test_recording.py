@@ -151,7 +151,7 @@ def test_replay_in_another_process(tmp_path):
         "    read = load(file)\n    assert state_hash(replay(read)) == read.hashes[-1][1]\n    print(file.stem)"
     )
     words = [sys.executable, "-W", "error", "-c", program, str(tmp_path)]
-    shown = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=300, check=True)
+    shown = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True)
     assert set(shown.stdout.splitlines()) == set(CASES)
 
 

@@ -137,9 +137,9 @@ def test_a_forked_child_goes_on_with_threads_of_its_own(tiny_slices):
     child = multiprocessing.get_context("fork").Process(target=go_on, args=(there,))
     child.start()
     try:
-        assert here.poll(60), "the child hangs"
+        assert here.poll(600), "the child hangs"
         answer = here.recv()
-        child.join(10)
+        child.join(600)
         assert child.exitcode == 0
     finally:
         child.kill()

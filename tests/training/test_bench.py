@@ -2,13 +2,13 @@
 
 import importlib.util
 import json
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fovconn_env import Simulator, scenario
+from fovconn_env.training.bench import cases
 from fovconn_env.training.bench import report as report_module
 from fovconn_env.training.bench import timing as bench
 from fovconn_env.training.bench.cases import (
@@ -62,34 +62,36 @@ def report():
 
 
 # ------------------------------------------------------------------------------------------------------------- timing
-def test_rates_are_what_sleeps_make_them():
+def test_rates_are_what_the_counted_seconds_make_them():
     """Seconds that do not count are not counted, steps and ends are; the repetitions alternate."""
     order = []
 
-    def case(name, counted, idle):
+    def case(name, counted):
         def call():
             order.append(name)
-            time.sleep(idle)
             return counted, 1
 
         return Plan("vector", name, name, lambda: Case(6, 10, call))
 
     told = []
-    found = measure([case("a", 0.5, 0.0), case("b", 0.25, 0.001)], LEAST, told.append)
+    found = measure([case("a", 0.5), case("b", 0.25)], LEAST, told.append)
     assert order == ["a", "b"] * (LEAST.repetitions + 1)
     assert told == order
     assert [t.rates for t in found] == [[20.0] * 3, [40.0] * 3]
     assert [t.ends for t in found] == [100.0, 100.0]
 
 
-def test_a_case_is_called_until_its_seconds_are_over():
-    def call():
-        time.sleep(0.002)
-        return 0.002, 0
+@pytest.mark.parametrize("seconds, calls", [(0.0, 1), (1.0, 2), (2.5, 4)])
+def test_a_case_is_called_until_its_seconds_are_over(monkeypatch, seconds, calls):
+    """On a clock that the calls alone move on: 0.75 s each, of which 0.5 s count."""
+    now = [100.0]
+    monkeypatch.setattr(cases.time, "perf_counter", lambda: now[0])
 
-    counted, calls, _ = lap(Case(6, 1, call), 0.05)
-    assert 2 <= calls <= 25
-    assert counted == pytest.approx(0.002 * calls)
+    def call():
+        now[0] += 0.75
+        return 0.5, 3
+
+    assert lap(Case(6, 1, call), seconds) == (0.5 * calls, calls, 3 * calls)
 
 
 # ------------------------------------------------------------------------------------------------------------- ratios
@@ -133,15 +135,15 @@ def test_the_memory_bar():
 
 # --------------------------------------------------------------------------------------------------------------- cases
 def test_every_case_runs(report):
-    cases = {case["key"]: case for case in report["cases"]}
+    timed = {case["key"]: case for case in report["cases"]}
     sb3 = importlib.util.find_spec("stable_baselines3") is not None
     expected = {plan.key for plan in plans(TINY, LEAST, []) if sb3 or plan.group not in ("sb3", "ppo")}
-    assert set(cases) == expected
-    for case in cases.values():
+    assert set(timed) == expected
+    for case in timed.values():
         assert len(case["rates"]) == LEAST.repetitions
         assert 0 < case["least"] <= case["median"] <= case["most"] < np.inf
         assert case["agent_median"] == case["median"] * case["agents"]
-    assert [cases[f"kinematic N={n}"]["agents"] for n in SIZES] == list(SIZES)
+    assert [timed[f"kinematic N={n}"]["agents"] for n in SIZES] == list(SIZES)
     assert len(report["missing"]) == (0 if sb3 else 2)
     assert report["memory"]["worlds"] == 2
 

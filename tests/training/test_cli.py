@@ -124,7 +124,7 @@ def test_tables_fit_the_terminal(columns, brackets, tmp_path):
         "0-1",
     ]
     words += [*TINY, "--out", str(tmp_path)]
-    task = subprocess.run(words, env=variables, capture_output=True, text=True, timeout=120, check=True)
+    task = subprocess.run(words, env=variables, capture_output=True, text=True, check=True)
     assert ("[" in task.stdout.splitlines()[3]) == brackets
     assert "…" not in task.stdout
 
@@ -239,7 +239,7 @@ def test_in_a_process_of_its_own():
     """No traceback either, and the status arrives at the shell."""
     variables = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200"}
     words = [sys.executable, "-m", "fovconn_env.training.cli", "eval", "--scenario", "Nowhere-v0"]
-    task = subprocess.run(words, cwd=ROOT, env=variables, capture_output=True, text=True, timeout=120, check=False)
+    task = subprocess.run(words, cwd=ROOT, env=variables, capture_output=True, text=True, check=False)
     assert task.returncode == 2
     assert task.stdout == ""
     assert task.stderr.startswith("fovconn: scenario must be one of LeaderFollow-v0, ")
