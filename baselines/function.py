@@ -30,5 +30,5 @@ class FunctionPolicy(Policy):
 
 def from_function(function: Function, name: str) -> type[FunctionPolicy]:
     """The policy class of a function or another callable, called `name` in tables."""
-    fields = {"original": (function,), "__doc__": function.__doc__ or FunctionPolicy.__doc__}
+    fields = {"_trusted": False, "original": (function,), "__doc__": function.__doc__ or FunctionPolicy.__doc__}
     return make_class(name, FunctionPolicy, fields, from_function, function, name)

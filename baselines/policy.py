@@ -8,16 +8,18 @@ import functools
 from abc import ABCMeta, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from operator import attrgetter
+from types import ModuleType
 from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from fovconn_env.errors import SettingError, SettingTypeError, closest, rule
+from fovconn_env.errors import SettingError, SettingTypeError, closest, is_users, rule
 from fovconn_env.layout import Rows, rows
 from fovconn_env.scenarios import presets
 from fovconn_env.scenarios.scenario import Scenario
 
+_ONE_WAY = "policy.act must be called one way in an episode, got {}: call policy.reset() where an episode starts"
 Observation = Mapping[str, np.ndarray] | np.ndarray
 
 
@@ -44,6 +46,7 @@ class Policy(metaclass=PolicyType):
     oracle: ClassVar[bool] = False
     has_memory: ClassVar[bool] = False  # becomes True in a subclass that implements `reset`
 
+    _trusted: ClassVar[bool] = True  # of this package, so that what it declares is right
     _n_rows = 0  # rows of the stacks since the last reset; 0 before the first
 
     def __init__(self, scenario: Scenario) -> None:
@@ -57,6 +60,8 @@ class Policy(metaclass=PolicyType):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
+        if "_trusted" not in vars(cls):
+            cls._trusted = not is_users(cls.__module__)
         if (forget := vars(cls).get("reset")) is not None:
             cls.reset = _with_robots(forget)
             if "has_memory" not in vars(cls):
@@ -92,7 +97,7 @@ class Policy(metaclass=PolicyType):
             return
         chosen = np.ravel(np.asarray(mask, bool))
         count = len(self.scenario.agents) if self._robots else self._n_rows or len(chosen)
-        rule(len(chosen) == count, "mask", f"{count} bools, one a robot", f"{len(chosen)} of them", "see Policy.reset")
+        rule(len(chosen) == count, "mask", f"{count} bools", len(chosen), "one a robot, in the order of the rows")
         for agent, forgets in zip(self.scenario.agents if self._robots else (), chosen, strict=False):
             if forgets:
                 self._robots.pop(agent, None)
@@ -114,7 +119,7 @@ class Policy(metaclass=PolicyType):
             return self._robot(agent, flat)._act(flat)
         if self.has_memory:
             self._check_rows(flat)
-        elif flat.ndim == 1:
+        elif flat.ndim == 1 and not self._trusted:
             return self._act_alone(flat)
         return self._act(flat)
 
@@ -136,8 +141,8 @@ class Policy(metaclass=PolicyType):
         """The copy of the policy that a robot flies with."""
         hint = "a stack of a whole team needs no agent"
         rule(flat.ndim == 1, f"observation of {agent!r}", "one robot's, (D,)", flat.shape, hint)
-        hint = "a stack of the whole team, or agent=name in every step: call reset() in between"
-        rule(not self._n_rows, "policy.act", "called one way in an episode", f"agent={agent!r} after a stack", hint)
+        if self._n_rows:
+            raise SettingError(_ONE_WAY.format(f"agent={agent!r} after a stack"))
         if agent not in self._robots:
             agents = self.scenario.agents
             rule(agent in agents, "agent", "a robot of the scenario", agent, closest(agent, agents))
@@ -153,8 +158,8 @@ class Policy(metaclass=PolicyType):
             raise SettingError(f"agent must be the robot's name for one observation, got None: {hint}")
         hint = f"{name} has a memory for each robot; one robot alone is policy.act(observation, agent=name)"
         rule(n_rows % n_agents == 0, "rows of a stack", f"whole teams of {n_agents} robots", n_rows, hint)
-        hint = "a stack of the whole team, or agent=name in every step: call reset() in between"
-        rule(not self._robots, "policy.act", "called one way in an episode", "a stack after agent=name", hint)
+        if self._robots:
+            raise SettingError(_ONE_WAY.format("a stack after agent=name"))
         hint = f"{name} remembers by row; call policy.reset() where an episode starts with other robots"
         rule(self._n_rows in (0, n_rows), "rows of a stack", f"{self._n_rows} as in the steps before", n_rows, hint)
         self._n_rows = n_rows
@@ -172,12 +177,14 @@ class Policy(metaclass=PolicyType):
         return actions
 
 
-def _attributes(policy: Policy) -> Iterator[tuple[str, Any]]:
-    """Names and values of a policy's attributes, with those of the policies among them."""
-    for name, value in vars(policy).items():
+def _attributes(thing: Any, depth: int = 3) -> Iterator[tuple[str, Any]]:
+    """Names and values of an object's attributes, with those of the policies and users' objects among them."""
+    for name, value in getattr(thing, "__dict__", {}).items():
         yield name, value
-        if isinstance(value, Policy):
-            yield from ((f"{name}.{below}", each) for below, each in _attributes(value))
+        if isinstance(value, (type, ModuleType)) or depth == 1:
+            continue
+        if isinstance(value, Policy) or is_users(type(value).__module__):
+            yield from ((f"{name}.{below}", each) for below, each in _attributes(value, depth - 1))
 
 
 def _with_robots(forget: Callable[..., None]) -> Callable[..., None]:

@@ -46,12 +46,16 @@ class PolicyError(ValueError):
     place = ""  # file, line and function of the user's code that failed, if it is that
 
 
+def is_users(module: str) -> bool:
+    """Whether a module, by its name, is not one of this package."""
+    return module.partition(".")[0] != _PACKAGE or module.startswith(_OWN)
+
+
 def users_frame(problem: BaseException) -> traceback.FrameSummary | None:
     """The innermost line on the way to an error that is neither this package's nor an installed library's."""
     for frame, line in reversed(list(traceback.walk_tb(problem.__traceback__))):
         file, module = frame.f_code.co_filename, str(frame.f_globals.get("__name__"))
-        ours = module.partition(".")[0] == _PACKAGE and not module.startswith(_OWN)
-        ours = ours or (module == "__main__" and Path(file).is_relative_to(_FOLDER))
+        ours = not is_users(module) or (module == "__main__" and Path(file).is_relative_to(_FOLDER))
         if not ours and not file.startswith("<frozen") and not any(Path(file).is_relative_to(at) for at in _INSTALLED):
             return traceback.FrameSummary(file, line, frame.f_code.co_name)
     return None

@@ -134,6 +134,18 @@ def test_the_notebook_is_kept_without_outputs():
     assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells)
 
 
+def test_loops_name_the_robot_and_reset_the_policy():
+    """A policy with a memory flies as it should in every loop that is printed."""
+    examples = [*(ROOT / "docs").glob("examples/*.py"), *(ROOT / "docs").glob("*.ipynb")]
+    texts = {str(path): path.read_text("utf-8").replace('\\"', '"') for path in [*FILES, *examples]}
+    calls = {name: re.findall(r"\bact\((.*)", text) for name, text in texts.items() if ".act(observation" in text}
+    assert len(calls) >= 6
+    for name, lines in calls.items():
+        assert re.search(r"(policy|pilot)\.reset\(", texts[name]), f"{name} never resets the policy"
+        for line in lines:
+            assert not re.match(r"observations\[", line) or "agent=" in line, f"{name}: act({line}"
+
+
 # ---------------------------------------------------------------------------------------------------------- links
 @pytest.mark.parametrize("page", PAGES)
 def test_links_and_images_resolve(page):

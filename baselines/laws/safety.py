@@ -79,7 +79,7 @@ def safe(kind: type[Policy], name: str | None = None) -> type[Safe]:
 @functools.cache  # one class, also for what was pickled
 def _safe(kind: type[Policy], name: str) -> type[Safe]:
     fields = {"inner": kind, "overrides": kind.overrides, "oracle": kind.oracle, "has_memory": kind.has_memory}
-    fields["__doc__"] = f"{kind.__doc__} Filtered."
+    fields["_trusted"], fields["__doc__"] = kind._trusted, f"{kind.__doc__} Filtered."
     return make_class(f"safe-{name}", Safe, fields, _safe, kind, name)
 
 

@@ -7,7 +7,6 @@ python docs/examples/gymnasium_vector.py --worlds 64 --steps 3000
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -15,15 +14,13 @@ import numpy as np
 
 from fovconn_env.baselines import load_policy
 
-Act = Callable[[np.ndarray], np.ndarray]  # observations (B, N, D) -> actions (B, N, 4)
-
 
 def fly(
-    n_worlds: int = 64, n_steps: int = 3000, *, seed: int = 0, act: Act | None = None, **settings: Any
+    n_worlds: int = 64, n_steps: int = 3000, *, seed: int = 0, policy: Any = "expert", **settings: Any
 ) -> list[dict[str, float]]:
     """Step the worlds so often and return the episodes that ended: return, length, success, collision, truncated.
 
-    act: a policy of your own in the place of the paper's controller. Settings go to the scenario.
+    policy: a name or a function, as `load_policy` takes it. Settings go to the scenario.
     """
     envs = gymnasium.make_vec(
         "fovconn_env:fovconn/LeaderFollow-v0",
@@ -32,15 +29,16 @@ def fly(
         autoreset_mode="SAME_STEP",
         **settings,
     )
-    act = act or load_policy("expert", envs).act
+    pilot = load_policy(policy, envs)
     observations, infos = envs.reset(seed=seed)  # world b gets seed + b
     returns, lengths = np.zeros(n_worlds), np.zeros(n_worlds, int)
     episodes = []
     for _ in range(n_steps):
-        observations, rewards, terminations, truncations, infos = envs.step(act(observations))
+        observations, rewards, terminations, truncations, infos = envs.step(pilot.act(observations))
         returns += rewards
         lengths += 1
         ended = terminations | truncations
+        pilot.reset(np.repeat(ended, observations.shape[1]))  # robots of new episodes remember nothing
         for b in np.flatnonzero(ended):
             last = infos["final_info"]  # infos and observations are already those of the next episode
             episodes.append(

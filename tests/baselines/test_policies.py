@@ -461,7 +461,7 @@ def test_what_is_no_policy_is_named(name, says, file):
 def test_the_documented_policy_flies(file):
     """The file in docs/policies.md, on its own."""
     text = (ROOT / "docs" / "policies.md").read_text("utf-8")
-    file("my_policy.py", text.split("```python\n")[1].split("```")[0])
+    file("my_policy.py", next(block for block in text.split("```")[1::2] if "class Mine" in block).partition("\n")[2])
     kind = find_policy("my_policy.py:Mine")
     assert issubclass(kind, Policy)
     chosen = kind.equip(small(course=SETTLED))
