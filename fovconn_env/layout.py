@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fovconn_env.errors import SettingError
+
 
 class Column(NamedTuple):
     """One number of a row: its name, unit, frame, bounds and meaning.
@@ -184,11 +186,11 @@ class Rows(NamedTuple):
 def rows(flat: np.ndarray, max_neighbors: int, max_ranges: int) -> Rows:
     """Record views of flat observations, (..., D) float32 C-contiguous; nothing is copied."""
     if flat.dtype != np.float32 or not flat.flags.c_contiguous:
-        raise ValueError(
+        raise SettingError(
             f"flat observations must be C-contiguous float32, got {flat.dtype} with strides {flat.strides}"
         )
     if flat.shape[-1] != observation_size(max_neighbors, max_ranges):
-        raise ValueError(
+        raise SettingError(
             f"flat observations must have {observation_size(max_neighbors, max_ranges)} columns for "
             f"max_neighbors={max_neighbors} and {max_ranges} ranges, got {flat.shape[-1]}: "
             "was the policy loaded for another scenario?"

@@ -51,8 +51,6 @@ def installed(request, wheel, tmp_path_factory):
     empty = home / "empty"
     empty.mkdir()
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-    if request.param == "wheel":  # its place is part of a kernel's key: nobody needs it later
-        environment["NUMBA_CACHE_DIR"] = str(home / "kernels")
 
     def run(program, *arguments, cwd=empty, **variables):
         command = [str(python.with_name(program)), *arguments]
@@ -85,6 +83,15 @@ def test_a_wheel_of_the_sdist_is_the_same(wheel, tmp_path):
         archive.extractall(tmp_path, filter="data")
     again = build("wheel", tmp_path / f"fovconn_env-{__version__}", tmp_path / "again")
     assert again.read_bytes() == wheel.read_bytes()
+
+
+@pytest.mark.parametrize("module", ["fovconn_env", "fovconn_env.baselines", "fovconn_env.training.cli"])
+def test_the_wheel_as_it_is_says_that_it_must_be_installed(module, wheel, tmp_path):
+    variables = os.environ | {"PYTHONPATH": str(wheel)}
+    command = [sys.executable, "-c", f"import {module}"]
+    done = subprocess.run(command, cwd=tmp_path, env=variables, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].startswith("ImportError: fovconn_env must be installed, and cannot be imported")
 
 
 # -------------------------------------------------------------------------------------------------------- what it does

@@ -1,4 +1,4 @@
-"""The decorators of compiled code, and a cache that notices an edit in any kernel file.
+"""The decorators of compiled code, and the key by which its cache notices an edit in any kernel file.
 
 `kernel`, `stage` and `view` mark functions called from compiled code, `entry` one called from Python, `formula` one
 called from both. With `NUMBA_DISABLE_JIT=1` they leave plain Python behind.
@@ -18,9 +18,10 @@ from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
 import numpy as np
-import platformdirs
 from numba.core import config
 from numba.core.registry import CPUDispatcher
+
+from fovconn_env.kernel.cache import DiskCache
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -29,6 +30,10 @@ _OPTIONS: dict[str, Any] = {"fastmath": False, "_nrt": False}
 # Of what only compiled code calls: wrappers for calls from Python and C would be compiled for nothing.
 _INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, **_OPTIONS}
 _PACKAGE = Path(__file__).parents[1]
+if not _PACKAGE.is_dir():  # in a zip file, where neither the sources nor the weights can be read
+    raise ImportError(
+        "fovconn_env must be installed, and cannot be imported from a wheel as it is: pip install FILE.whl"
+    )
 # Stands in every file that holds compiled code.
 _MARK = re.compile(rb"^from fovconn_env\.kernel\.jit import .*\b(?:entry|formula|kernel|stage|view)\b", re.MULTILINE)
 
@@ -82,17 +87,13 @@ def entry(function: Callable[P, R]) -> Callable[P, R]:
                 return function(*args, **kwargs)
 
         return plain
+    dispatcher = numba.njit(function, nogil=True, **_OPTIONS)
     source = Path(inspect.getfile(function))
-    # numba looks only at the file of the function itself: a folder named by the hash of all compiled code that it may
-    # call makes an edit elsewhere visible. The folder is read while decorating, so the user's own setting is put back.
-    before, config.CACHE_DIR = config.CACHE_DIR, str(_cache_folder(source))
     if source.is_file():  # not what is typed in a notebook
-        # numba keys by that file's path, too: without links in it, a clone and its editable install share the cache.
-        function.__code__ = function.__code__.replace(co_filename=str(source.resolve()))
-    try:
-        return cast("Callable[P, R]", numba.njit(function, cache=True, nogil=True, **_OPTIONS))
-    finally:
-        config.CACHE_DIR = before
+        # numba looks only at the file of the function itself; this name makes an edit elsewhere visible.
+        key = source_hash(compiled_files(source))
+        dispatcher._cache = DiskCache(function, source, _place(source), key)
+    return cast("Callable[P, R]", dispatcher)
 
 
 def source_hash(beside: Iterable[Path] = ()) -> str:
@@ -103,10 +104,10 @@ def source_hash(beside: Iterable[Path] = ()) -> str:
     return digest.hexdigest()[:16]
 
 
-def _cache_folder(source: Path) -> Path:
-    """Folder of the compiled code of a file, named by the source of all compiled code that the file may call."""
-    root = Path(config.CACHE_DIR) if config.CACHE_DIR else Path(platformdirs.user_cache_dir("fovconn_env"))
-    return root / source_hash(compiled_files(source))
+def _place(source: Path) -> str:
+    """A file's name in the cache: in this package the same for all of its copies."""
+    inside = _PACKAGE in source.parents
+    return source.relative_to(_PACKAGE).as_posix() if inside else str(source.resolve())
 
 
 def compiled_files(source: Path) -> list[Path]:
