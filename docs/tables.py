@@ -8,15 +8,14 @@ In README.md and docs/*.md a table stands between `<!-- KIND:NAME -->` and `<!--
 - `five`: five measures of three policies on a scenario, from docs/results/full.json
 - `bench`: `rates`, `bars` or `machine` of docs/benchmark.json, which `fovconn bench --json` writes
 - `layout`: a table of `fovconn_env.layout`, or `scales`, what the named bounds are
-- `settings`: fields of a settings class, with the comment beside each
+- `settings`: fields of a settings class, with their bounds
 - `keys`: one group of the keys of `fovconn play`, `mouse` or `gamepad`
 """
 
 from __future__ import annotations
 
-import ast
+import dataclasses
 import functools
-import inspect
 import itertools
 import json
 import math
@@ -26,8 +25,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # runs from a clone without an install, too
 
-from fovconn_env import Scenario, layout
+from fovconn_env import Corridor, Forest, Scenario, layout
 from fovconn_env.baselines import Gains
+from fovconn_env.bounds import default_of, words_of
 from fovconn_env.files import write_text
 from fovconn_env.layout import Column
 from fovconn_env.scenarios import settings
@@ -59,7 +59,6 @@ FIVE = (  # of the README, as in `tables.CARD`
     ("bytes that a robot sends in a second", ("bytes_per_second",), ",.0f"),
 )
 _MARKED = re.compile(r"(<!-- (\w+):([\w -]+?) -->\n).*?(<!-- end -->)", re.DOTALL)
-_FIELD = re.compile(r"^    (\w+): (.+?) = (.+?)(?:  # (.*))?$", re.MULTILINE)
 
 
 def rendered(text: str) -> str:
@@ -104,18 +103,17 @@ def layout_table(name: str) -> str:
 
 
 def settings_table(name: str) -> str:
-    """The Markdown table of a settings class, from its source: field, default, choices or comment."""
-    kind = {"Gains": Gains, "Scenario": Scenario}.get(name) or getattr(settings, name)
-    rows = []
-    for field, annotation, default, comment in _FIELD.findall(inspect.getsource(kind)):
-        factory = re.fullmatch(r"field\(default_factory=(\w+)\)", default)
-        default = re.sub(r"^(positive|non_negative|fraction)\((.*?)(, infinite=True)?\)$", r"\2", default)
-        choices = re.fullmatch(r"Literal\[(.*)\](?: \| (\w+))?", annotation)
-        words = [f'`"{word}"`' for word in ast.literal_eval(f"({choices[1]},)")] if choices else []
-        words = " or ".join(words + ([f"a `{choices[2]}`"] if choices and choices[2] else []))
-        meaning = "; ".join(filter(None, [words, comment])) or (f"see {factory[1]} below" if factory else "")
-        rows.append([f"`{field}`", f"`{factory[1]}()`" if factory else f"`{default}`", _literal(meaning)])
-    return markdown((["setting", "default", "unit and meaning"], rows))
+    """The Markdown table of a settings class: field, default, bounds, unit and meaning, reason for the bounds."""
+    kinds = {"Gains": Gains, "Scenario": Scenario, "Forest": Forest, "Corridor": Corridor}
+    kind, rows = kinds.get(name) or getattr(settings, name), []
+    for field in dataclasses.fields(kind):
+        bounds, default = field.metadata.get("bounds"), default_of(field)
+        words = " or ".join(f"`{word}`" for word in words_of(kind, field))
+        words = "; ".join(filter(None, [words, field.metadata.get("meaning")]))
+        words = words or (f"see {default.removesuffix('()')} below" if default.endswith("()") else "")
+        limits = [f"`{bounds}`", bounds.why] if bounds else ["", ""]
+        rows.append([f"`{field.name}`", f"`{default}`", limits[0], _literal(words), limits[1]])
+    return markdown((["setting", "default", "bounds", "unit and meaning", "why these bounds"], rows))
 
 
 def bench_table(name: str) -> str:

@@ -24,16 +24,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fovconn_env.baselines.laws.expert import Expert, Gains
-from fovconn_env.errors import non_negative
+from fovconn_env.baselines.laws.expert import FORWARD, Expert, Gains
+from fovconn_env.bounds import number, settings_group
 from fovconn_env.scenarios.scenario import Scenario
 
 
+@settings_group
 @dataclass(frozen=True, kw_only=True)
 class AugmentedGains(Gains):
     """The expert's gains, and feed-forward (docs/decisions.md)."""
 
-    forward: float = non_negative(0.9)  # share of the neighbours' velocity; from 0.95 on quadrotors crowd and stall
+    forward: float = number(
+        0.9, 0, 0.999, "share of the neighbours' velocity; from 0.95 on quadrotors crowd and stall", FORWARD
+    )
 
 
 class Augmented(Expert):

@@ -14,15 +14,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fovconn_env.baselines.laws.augmented import Augmented, AugmentedGains
-from fovconn_env.errors import non_negative
+from fovconn_env.bounds import number, settings_group
 from fovconn_env.scenarios.scenario import Scenario
 
 
+@settings_group
 @dataclass(frozen=True, kw_only=True)
 class CohesiveGains(AugmentedGains):
     """The gains of `augmented`, and the pull (docs/decisions.md)."""
 
-    gather: float = non_negative(0.15)  # 1/s; chosen from 0.1 to 0.3 on seeds 20000-20095 of ten scenarios
+    gather: float = number(
+        0.15, 0, 100, "1/s; chosen from 0.1 to 0.3 on seeds 20000-20095 of ten scenarios", "far above what helps"
+    )
 
 
 class Cohesive(Augmented):

@@ -11,37 +11,50 @@ from dataclasses import dataclass
 import numpy as np
 
 from fovconn_env.baselines.policy import Policy
-from fovconn_env.errors import check_numbers, non_negative, positive, rule
+from fovconn_env.bounds import check_numbers, number, settings_group
+from fovconn_env.errors import rule
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.maths.geometry import tilt
 from fovconn_env.kernel.maths.weights import weight_gradient
 from fovconn_env.kernel.onboard.relative_yaw import NONE
 from fovconn_env.kernel.world.kinematics import saturate
 from fovconn_env.scenarios.scenario import Scenario
+from fovconn_env.scenarios.settings import LENGTH
 
 _GAINS = "k_v clamp k_obs d_min_obs d_max_obs closest excite forward gather".split()
 GAINS = np.dtype((np.record, [(name, "f8") for name in _GAINS]))
 
 
+_GAIN = "far beyond what robots can follow"
+FORWARD = "at 1 a team without a leader drifts for ever"
+
+
+@settings_group
 @dataclass(frozen=True, kw_only=True)
 class Gains:
     """Gains that the paper does not give (docs/decisions.md)."""
 
-    k_v: float = positive(0.2)  # gain of V; 0.05 lost 3.1 % of the teams, 0.2 0.8 % (docs/decisions.md)
-    clamp: float = positive(0.02)  # lambda2_hat is clamped to lambda2_min + clamp: V has its asymptote at lambda2_min
-    k_obs: float = positive(0.05)  # m/s, gain of the repulsion
-    d_min_obs: float = positive(1.0)  # m, its asymptote (Table I)
-    d_max_obs: float = positive(3.5)  # m, where it ends (Table I)
-    closest: float = positive(1.02)  # m, distances are clamped to this
-    excite: float = non_negative(0.2)  # m/s, see `excitation`; 0 switches it off
-    forward: float = non_negative(0.0)  # share of the neighbours' velocity, see `feed_forward`; 0 is the paper's law
-    gather: float = non_negative(0.0)  # 1/s, see `cohesion`; 0 is the paper's law
+    k_v: float = number(0.2, 1e-6, 100, "gain of V; 0.05 lost 3.1 % of the teams, 0.2 0.8 % (docs/decisions.md)", _GAIN)
+    clamp: float = number(
+        0.02,
+        1e-6,
+        100,
+        "lambda2_hat is clamped to lambda2_min + clamp: V has its asymptote at lambda2_min",
+        "V ends there",
+    )
+    k_obs: float = number(0.05, 1e-6, 100, "m/s, gain of the repulsion", _GAIN)
+    d_min_obs: float = number(1.0, 0.001, 1000.0, "m, its asymptote (Table I)", LENGTH)
+    d_max_obs: float = number(3.5, 0.001, 1000.0, "m, where it ends (Table I)", LENGTH)
+    closest: float = number(1.02, 0.001, 1000.0, "m, distances are clamped to this", LENGTH)
+    excite: float = number(0.2, 0, 100, "m/s, see `excitation`; 0 switches it off", "the fastest robot's speed")
+    forward: float = number(
+        0.0, 0, 0.999, "share of the neighbours' velocity, see `feed_forward`; 0 is the paper's law", FORWARD
+    )
+    gather: float = number(0.0, 0, 100, "1/s, see `cohesion`; 0 is the paper's law", _GAIN)
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        hint = "at 1 a team without a leader drifts for ever"
-        rule(self.forward < 1.0, "Gains.forward", "below 1", self.forward, hint)
-        ordered = self.d_min_obs < self.closest < self.d_max_obs
+        ordered = self.d_min_obs + 1e-6 <= self.closest < self.d_max_obs
         hint = "the repulsion grows from d_max_obs down to its asymptote at d_min_obs"
         rule(ordered, "Gains.closest", "between d_min_obs and d_max_obs", self.closest, hint)
 

@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from fovconn_env.baselines.laws.expert import descend_potential
 from fovconn_env.baselines.policy import Policy, make_class
-from fovconn_env.errors import check_numbers, non_negative, positive
+from fovconn_env.bounds import check_numbers, number, settings_group
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.world.kinematics import saturate
 from fovconn_env.layout import rows
@@ -36,12 +36,15 @@ PREFIX = "safe:"
 _GROWTHS, _BISECTIONS = 20, 60  # steps by a factor of 4, then of bisection: to the last bit
 
 
+@settings_group
 @dataclass(frozen=True, kw_only=True)
 class Barrier:
     """Settings of the barrier: distance to the bound of lambda2, and speed of approach."""
 
-    alpha: float = positive(4.0)  # 1/s, the distance to the bound decays at most as e^(-alpha t)
-    margin: float = non_negative(0.3)  # the bound is lambda2_min + margin: estimates lag
+    alpha: float = number(
+        4.0, 0.001, 1000, "1/s, the distance to the bound decays at most as e^(-alpha t)", "within a millisecond"
+    )
+    margin: float = number(0.3, 0, 256, "the bound is lambda2_min + margin: estimates lag", "lambda2 is at most N")
 
     def __post_init__(self) -> None:
         check_numbers(self)

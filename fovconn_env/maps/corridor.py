@@ -6,10 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fovconn_env.errors import as_numbers, check_numbers, positive, rule
-from fovconn_env.maps.obstacles import HIGH, LOW, Map
+from fovconn_env.bounds import check_numbers, check_order, number, settings_group, vector
+from fovconn_env.errors import rule
+from fovconn_env.maps.obstacles import HIGH, LOW, SIZE, Map
 
 
+@settings_group
 @dataclass(frozen=True, kw_only=True)
 class Corridor:
     """A random map: a wall across the course's second leg, with a gap where the leg crosses it.
@@ -18,18 +20,16 @@ class Corridor:
     ValueErrors that name the field.
     """
 
-    width: tuple[float, float] = (3.0, 3.5)  # m, of the gap, least and greatest
-    depth: float = positive(0.5)  # m, of the gap: the wall's thickness; its ends are round
-    reach: float = positive(15.0)  # m, of the wall to either side of the gap
-    low: float = LOW  # m, height interval
-    high: float = HIGH  # m
+    width: tuple[float, float] = vector((3.0, 3.5), 0.01, 1000, "m, of the gap, least and greatest", SIZE)
+    depth: float = number(0.5, 0.01, 1000, "m, of the gap: the wall's thickness; its ends are round", SIZE)
+    reach: float = number(15.0, 0.01, 1000, "m, of the wall to either side of the gap", SIZE)
+    low: float = number(LOW, -1000, 1000, "m, height interval", SIZE)
+    high: float = number(HIGH, -1000, 1000, "m", SIZE)
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        width = as_numbers("Corridor.width", self.width)
-        valid = bool(width.shape == (2,) and np.isfinite(width).all() and 0 < width[0] <= width[1])
-        rule(valid, "Corridor.width", "two numbers, 0 < least <= greatest", self.width, "metres")
-        rule(self.low < self.high, "Corridor.low", f"below high ({self.high:g})", self.low, "a height interval, metres")
+        rule(self.width[0] <= self.width[1], "Corridor.width", "two numbers, least <= greatest", self.width, "metres")
+        check_order(self, "low", "high", "a height interval, metres")
 
     def generate(
         self, rng: np.random.Generator, starts: np.ndarray, waypoints: np.ndarray, keep_radius: float

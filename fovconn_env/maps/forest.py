@@ -9,39 +9,34 @@ import numpy as np
 import numpy.typing as npt
 import pymunk
 
-from fovconn_env.errors import SettingError
-from fovconn_env.maps.obstacles import HIGH, LOW, Map, rounded_shape
+from fovconn_env.bounds import check_numbers, check_order, number, settings_group, vector
+from fovconn_env.errors import SettingError, rule
+from fovconn_env.maps.obstacles import HIGH, LOW, SIZE, Map, rounded_shape
 from fovconn_env.maps.outlines import checked_array, checked_length
 
 MAX_TRIES = 1000  # places drawn for one obstacle before giving up
 
 
+@settings_group
 @dataclass(frozen=True, kw_only=True)
 class Forest:
     """A random map: upright pillars and walls with gaps between them. Errors are ValueErrors that name the field."""
 
-    n_pillars: int = 12
-    pillar_radius: tuple[float, float] = (0.2, 0.5)  # m, least and greatest
-    n_walls: int = 3
-    wall_length: tuple[float, float] = (2.0, 5.0)  # m, least and greatest
-    wall_thickness: float = 0.3  # m
-    low: float = LOW  # m, height interval of all
-    high: float = HIGH  # m
-    gap: float = 2.0  # m, least free space between two obstacles
+    n_pillars: int = number(12, 0, 1000, "pillars", "places are drawn one after the other")
+    pillar_radius: tuple[float, float] = vector((0.2, 0.5), 0.001, 1000, "m, least and greatest", SIZE)
+    n_walls: int = number(3, 0, 1000, "walls", "places are drawn one after the other")
+    wall_length: tuple[float, float] = vector((2.0, 5.0), 0.001, 1000, "m, least and greatest", SIZE)
+    wall_thickness: float = number(0.3, 0.001, 1000, "m", SIZE)
+    low: float = number(LOW, -1000, 1000, "m, height interval of all", SIZE)
+    high: float = number(HIGH, -1000, 1000, "m", SIZE)
+    gap: float = number(2.0, 0, 1000, "m, least free space between two obstacles", SIZE)
 
     def __post_init__(self) -> None:
-        for name in ("n_pillars", "n_walls"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
-                raise SettingError(f"Forest.{name} must be a whole number of at least 0, got {value!r}: obstacles")
+        check_numbers(self)
         for name in ("pillar_radius", "wall_length"):
-            least, greatest = checked_array(f"Forest.{name}", getattr(self, name), (2,))
-            checked_length(f"Forest.{name}[0]", least, above=0.0)
-            checked_length(f"Forest.{name}[1]", greatest, least=least)
-        checked_length("Forest.wall_thickness", self.wall_thickness, above=0.0)
-        checked_length("Forest.gap", self.gap, least=0.0)
-        checked_length("Forest.low", self.low)
-        checked_length("Forest.high", self.high, above=self.low)
+            least, greatest = getattr(self, name)
+            rule(least <= greatest, f"Forest.{name}", "two numbers, least <= greatest", (least, greatest), "metres")
+        check_order(self, "low", "high", "a height interval, metres")
 
     def generate(
         self,

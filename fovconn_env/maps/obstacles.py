@@ -17,6 +17,7 @@ from fovconn_env.maps.files import check_call, read_entries, write_entries
 from fovconn_env.maps.outlines import Short, checked_array, checked_length, checked_outline, convex_pieces
 
 LOW, HIGH = -100.0, 100.0  # m, an obstacle's height interval by default
+SIZE = "metres; way points are 1000 m apart at most"  # the reason for the bounds of random maps
 
 
 class Map:

@@ -5,27 +5,23 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-import numbers
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
 from fovconn_env import layout
-from fovconn_env.errors import (
-    SettingTypeError,
-    check_numbers,
-    closest,
-    non_negative,
-    positive,
-    rule,
-)
+from fovconn_env.bounds import check_numbers, number, setting, settings_group
+from fovconn_env.errors import SettingTypeError, shown
 from fovconn_env.maps.corridor import Corridor
 from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map
+from fovconn_env.scenarios.checks import MAX_FAULTS, NAME_LENGTH, check_scenario
 from fovconn_env.scenarios.leader import Recorded
-from fovconn_env.scenarios.params import SWITCHES, pack
+from fovconn_env.scenarios.params import pack
 from fovconn_env.scenarios.settings import (
+    LENGTH,
+    MAX_AGENTS,
     Airframe,
     Camera,
     Clock,
@@ -42,6 +38,7 @@ from fovconn_env.scenarios.settings import (
 )
 
 
+@settings_group
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
     """Settings of one environment. Every constructor of the package takes one, or its id and the same keywords.
@@ -49,29 +46,39 @@ class Scenario:
     Raises `SettingError` for a setting that is impossible, naming field, rule, value and a likely cause.
     """
 
-    name: str = "Custom-v0"
-    n_agents: int = 6
-    dynamics: Literal["kinematic", "quadrotor"] = "kinematic"
-    weight: Literal["union", "product", "omni"] = "union"  # what runs on board; the judge always uses (11)
-    lambda2: Literal["power", "flooding", "true", "none"] = "power"  # "true" is an oracle
-    relative_yaw: Literal["estimated", "true", "none"] = "estimated"  # "true" is an oracle
-    link: Literal["sight", "radio"] = "sight"  # messages pass while A_ij > 0, or within d_max
-    leader: Literal["waypoints", "none", "random", "human"] | Recorded = "waypoints"  # what moves the operator's stick
-    leader_index: int = 0
-    speed_limit: float = positive(1.5)  # m/s, Euclidean norm
-    yaw_rate_limit: float = positive(1.0)  # rad/s
-    stick_speed: float = positive(1.0)  # m/s
-    max_neighbors: int = positive(8)  # rows of the observation
-    max_ranges: int = positive(8)
-    max_cycles: int = positive(2400)  # steps
-    warmup: float = non_negative(5.0)  # s of estimation before an episode, bodies held
-    lambda2_min: float = non_negative(0.01)
-    lambda2_max: float = positive(3.01)
-    patience: float = non_negative(0.0, infinite=True)  # s the team may be split
-    collision_robot: float = positive(0.5)  # m between centres; robots are spheres of half of it
-    collision_obstacle: float = positive(0.25)  # m from a centre, to an obstacle, floor or ceiling
-    floor: float | None = None  # m, height of the ground; z = 0 is the middle of Start.box; None: there is none
-    ceiling: float | None = None  # m, height of the ceiling; None: there is none
+    name: str = setting("Custom-v0", f"printable, 1 to {NAME_LENGTH} characters")
+    n_agents: int = number(6, 2, MAX_AGENTS, "robots", "one has no link to keep; most arrays grow with their square")
+    dynamics: Literal["kinematic", "quadrotor"] = setting("kinematic", "how robots fly")
+    weight: Literal["union", "product", "omni"] = setting("union", "what runs on board; the judge always uses (11)")
+    lambda2: Literal["power", "flooding", "true", "none"] = setting("power", '"true" is an oracle')
+    relative_yaw: Literal["estimated", "true", "none"] = setting("estimated", '"true" is an oracle')
+    link: Literal["sight", "radio"] = setting("sight", "messages pass while A_ij > 0, or within d_max")
+    leader: Literal["waypoints", "none", "random", "human"] | Recorded = setting(
+        "waypoints", "or a `Recorded`; what moves the operator's stick"
+    )
+    leader_index: int = number(0, 0, MAX_AGENTS - 1, "the leader's number", "robots are counted from 0")
+    speed_limit: float = number(1.5, 0.001, 100, "m/s, Euclidean norm", "five metres in a step of 0.05 s")
+    yaw_rate_limit: float = number(1.0, 0.001, 40, "rad/s", "six turns a second")
+    stick_speed: float = number(1.0, 0.001, 100, "m/s", "five metres in a step of 0.05 s")
+    max_neighbors: int = number(8, 1, MAX_AGENTS - 1, "rows of the observation", "there are no more neighbours")
+    max_ranges: int = number(8, 1, 1024, "rows of the observation", "rows are sorted by insertion, and most are empty")
+    max_cycles: int = number(2400, 1, 10**9, "steps", "19 months of the default step")
+    warmup: float = number(
+        5.0, 0, 600, "s of estimation before an episode, bodies held", "the largest team's estimator takes 160 s"
+    )
+    lambda2_min: float = number(0.01, 0, MAX_AGENTS, "the team is split below", "lambda2 of a team of N is at most N")
+    lambda2_max: float = number(3.01, 1e-6, 1e9, "from here on more links do not count", "no team reaches it")
+    patience: float = number(0.0, 0, 1e9, "s the team may be split", "30 years are for ever", infinite=True)
+    collision_robot: float = number(
+        0.5, 1e-6, 100, "m between centres; robots are spheres of half of it", "metres, a robot's size"
+    )
+    collision_obstacle: float = number(
+        0.25, 1e-6, 100, "m from a centre, to an obstacle, floor or ceiling", "metres, a robot's size"
+    )
+    floor: float | None = number(
+        None, -1000, 1000, "m, height of the ground; z = 0 is the middle of Start.box; None: there is none", LENGTH
+    )
+    ceiling: float | None = number(None, -1000, 1000, "m, height of the ceiling; None: there is none", LENGTH)
     clock: Clock = field(default_factory=Clock)
     camera: Camera = field(default_factory=Camera)
     rangefinder: Rangefinder = field(default_factory=Rangefinder)
@@ -84,61 +91,17 @@ class Scenario:
     start: Start = field(default_factory=Start)
     course: Course = field(default_factory=Course)
     reward: Reward = field(default_factory=Reward)
-    map: Map | Forest | Corridor | None = None  # obstacles: given, drawn at random, or none
-    faults: tuple[Fault, ...] = ()  # what dies in an episode, see Fault below
+    map: Map | Forest | Corridor | None = setting(None, "obstacles: given, drawn at random, or none")
+    faults: tuple[Fault, ...] = setting((), f"what dies in an episode, see Fault; at most {MAX_FAULTS}")
 
     def __post_init__(self) -> None:
         for name in GROUPS:
             check_group(name, getattr(self, name))
-        for name, words in SWITCHES.items():
-            value = getattr(self, name)
-            if name == "leader" and isinstance(value, Recorded):
-                continue
-            rule(value in words, f"Scenario.{name}", "one of " + ", ".join(words), value, closest(value, words))
         check_numbers(self)
-        rule(self.n_agents >= 2, "Scenario.n_agents", "at least 2", self.n_agents, "one robot has no link to keep")
-        inside = 0 <= self.leader_index < self.n_agents
-        says = f"in 0..{self.n_agents - 1}"
-        rule(inside, "Scenario.leader_index", says, self.leader_index, "robots are counted from 0")
-        hint = "lambda2_min is where the team counts as split, lambda2_max where more links stop to matter"
-        below = self.lambda2_min < self.lambda2_max
-        rule(below, "Scenario.lambda2_min", f"below lambda2_max ({self.lambda2_max:g})", self.lambda2_min, hint)
-        hint = "robots would collide before they may meet"
-        apart = self.start.spacing > self.collision_robot
-        rule(apart, "Start.spacing", f"above collision_robot ({self.collision_robot:g})", self.start.spacing, hint)
-        self._check_heights()
-        self._check_faults()
-        if isinstance(self.leader, Recorded):
-            speed = np.linalg.norm(self.leader.sticks, axis=1).max(initial=0.0)
-            says, hint = f"at most stick_speed ({self.stick_speed:g})", "m/s; raise Scenario.stick_speed"
-            rule(bool(speed <= self.stick_speed * (1 + 1e-6)), "Recorded.sticks", says, float(speed), hint)
-        if not isinstance(self.map, (Map, Forest, Corridor, type(None))):
-            says, hint = "a Map, a Forest, a Corridor or None", "a file, .json or .svg, goes through Map.from_file"
-            raise SettingTypeError(f"Scenario.map must be {says}, got {self.map!r}: {hint}")
-        if isinstance(self.map, Corridor):
-            hint = "a Corridor stands across the second leg of the leader's course"
-            rule(self.leader != "none", "Scenario.leader", "any but none with a Corridor", self.leader, hint)
-            rule(self.course.legs >= 2, "Course.legs", "at least 2 with a Corridor", self.course.legs, hint)
+        check_scenario(self)
+        object.__setattr__(self, "faults", tuple(self.faults))
         if isinstance(self.map, Map):  # a Map can be added to, a scenario is frozen
             object.__setattr__(self, "map", copy.copy(self.map))
-
-    def _check_heights(self) -> None:
-        for name in ("floor", "ceiling"):
-            check_height(f"Scenario.{name}", getattr(self, name))
-        (low, high), half = self.heights, self.start.box[2] / 2
-        hint = f"robots start between them, {self._margin:g} m from both (Start.clearance)"
-        rule(low <= high, "Scenario.floor", f"{2 * self._margin:g} m below ceiling ({self.ceiling})", self.floor, hint)
-        hint = f"z = 0 is the middle of Start.box, whose robots start {self._margin:g} m away (Start.clearance)"
-        rule(low <= half, "Scenario.floor", f"at most {half - self._margin:g}", self.floor, hint)
-        rule(high >= -half, "Scenario.ceiling", f"at least {self._margin - half:g}", self.ceiling, hint)
-
-    def _check_faults(self) -> None:
-        if not isinstance(self.faults, tuple) or not all(isinstance(fault, Fault) for fault in self.faults):
-            hint = "write faults=(Fault(...),)"
-            raise SettingTypeError(f"Scenario.faults must be a tuple of Faults, got {self.faults!r}: {hint}")
-        for k, fault in enumerate(self.faults):
-            inside, says = fault.robot is None or fault.robot < self.n_agents, f"in 0..{self.n_agents - 1}"
-            rule(inside, f"Scenario.faults[{k}].robot", says, fault.robot, "robots are counted from 0")
 
     @property
     def step_time(self) -> float:
@@ -146,15 +109,15 @@ class Scenario:
         return self.clock.tick * self.clock.ticks
 
     @property
-    def _margin(self) -> float:
+    def margin(self) -> float:
         """Least distance of starts and way points to floor and ceiling, m."""
         return max(self.start.clearance, self.collision_obstacle)
 
     @property
     def heights(self) -> tuple[float, float]:
         """Lowest and highest z of starts and way points between floor and ceiling, m; infinite without."""
-        low = -math.inf if self.floor is None else self.floor + self._margin
-        return low, math.inf if self.ceiling is None else self.ceiling - self._margin
+        low = -math.inf if self.floor is None else self.floor + self.margin
+        return low, math.inf if self.ceiling is None else self.ceiling - self.margin
 
     @property
     def agents(self) -> list[str]:
@@ -192,19 +155,9 @@ GROUPS: dict[str, type] = {
 }
 
 
-def check_height(field: str, value: object) -> None:
-    """`SettingError` unless a value is None or a height within 1000 m of the start."""
-    if value is None:
-        return
-    if not isinstance(value, numbers.Real) or isinstance(value, bool):
-        raise SettingTypeError(f"{field} must be a number or None, got {value!r}: metres, None is none at all")
-    says, hint = "finite and within -1000..1000", "metres from the middle of the start; None is none at all"
-    rule(-1000.0 <= float(value) <= 1000.0, field, says, value, hint)
-
-
 def check_group(name: str, value: object) -> None:
     """`SettingTypeError` unless a value is of the class of that group."""
     kind = GROUPS[name]
     if not isinstance(value, kind):
         hint = f"write {name}={kind.__name__}(...)"
-        raise SettingTypeError(f"Scenario.{name} must be a {kind.__name__}, got {value!r}: {hint}")
+        raise SettingTypeError(f"Scenario.{name} must be a {kind.__name__}, got {shown(value)}: {hint}")

@@ -9,53 +9,27 @@ from fovconn_env.kernel import records
 from fovconn_env.kernel.maths.spectrum import N_VECTORS
 from fovconn_env.scenarios.leader import Recorded
 from fovconn_env.scenarios.scenario import Scenario
+from fovconn_env.scenarios.sizes import Arrays, state_arrays, world_arrays
 
 NO_ACTIONS, NO_MASK = np.zeros((1, 1, 4)), np.zeros(1, bool)
 
 
 def allocate(scenario: Scenario, n_worlds: int, n_pieces: int, n_vertices: int) -> tuple[records.World, records.State]:
     """Zeroed world and state of a batch of `n_worlds`, for at most that many obstacle pieces and vertices a world."""
-    b, n, m, k = n_worlds, scenario.n_agents, scenario.max_neighbors, scenario.max_ranges
-    flooded, entries = (n, n + 1) if scenario.lambda2 == "flooding" else (0, 0)  # rows of a table
     low, high = observation_bounds(scenario)
+
+    def zeros(arrays: Arrays) -> dict[str, np.ndarray]:
+        return {name: np.zeros((n_worlds, *shape), kind) for name, (shape, kind) in arrays.items()}
+
     world = records.World(
-        piece=np.zeros((b, n_pieces), records.PIECE),
-        vertex=np.zeros((b, n_vertices, 2)),
-        waypoint=np.zeros((b, max(scenario.course.legs, 1), 3)),
-        n_waypoints=np.zeros(b, np.int64),
-        fault=np.zeros((b, len(scenario.faults)), records.FAULT),
+        **zeros(world_arrays(scenario, n_pieces, n_vertices)),
         stick=scenario.leader.sticks.copy() if isinstance(scenario.leader, Recorded) else np.zeros((0, 3)),
         low=low,
         high=high,
     )
-    flat = np.zeros((b, n, scenario.observation_size), np.float32)
-    views = layout.rows(flat, m, k)
-    state = records.State(
-        body=np.zeros((b, n), records.BODY),
-        flight=np.zeros((b, n), records.FLIGHT),
-        pair=np.zeros((b, n, n), records.PAIR),
-        ego=np.zeros((b, n), records.EGO),
-        sight=np.zeros((b, n, n), records.SIGHT),
-        broadcast=np.zeros((b, scenario.radio.delay, n), records.BROADCAST_RECORD),
-        unicast=np.zeros((b, scenario.radio.delay, n, n), records.UNICAST_RECORD),
-        inbox=np.zeros((b, n, n), records.INBOX),
-        track=np.zeros((b, n, n), records.TRACK),
-        belief=np.zeros((b, n), records.BELIEF),
-        beat=np.zeros((b, n, n), np.int64),
-        beat_air=np.zeros((b, scenario.radio.delay, n, n), np.int64),
-        table=np.zeros((b, n, flooded, entries)),
-        air=np.zeros((b, scenario.radio.delay, n, flooded, entries)),
-        mode=np.zeros((b, n, flooded)),
-        episode=np.zeros(b, records.EPISODE),
-        fiedler=np.zeros((b, n)),
-        info=np.zeros((b, n), records.INFO_RECORD),
-        reward=np.zeros((b, n)),
-        flat=flat,
-        own_row=views.own,
-        neighbor_row=views.neighbors,
-        range_row=views.ranges,
-    )
-    return world, state
+    arrays = zeros(state_arrays(scenario))
+    views = layout.rows(arrays["flat"], scenario.max_neighbors, scenario.max_ranges)
+    return world, records.State(**arrays, own_row=views.own, neighbor_row=views.neighbors, range_row=views.ranges)
 
 
 def scratch(n_agents: int) -> records.Scratch:

@@ -21,11 +21,13 @@ from fovconn_env.kernel.world import operator
 from fovconn_env.scenarios.leader import Recorded
 from fovconn_env.scenarios.params import SWITCHES
 from fovconn_env.scenarios.scenario import Scenario
+from fovconn_env.scenarios.sizes import MAX_BATCH_BYTES, world_bytes
 from fovconn_env.sim.graph import Graph, observed_graph
 from fovconn_env.sim.memory import NO_ACTIONS, NO_MASK, allocate, clear, place, scratch
 from fovconn_env.sim.starts import EpisodeStart, StartSampler, check_start, draw_faults
 
 WORLDS_PER_SLICE = 16  # smaller slices are not worth a thread
+MAX_WORLDS, MAX_THREADS = 1_000_000, 1024
 Leader = Literal["waypoints", "none", "random", "human"]
 _STICK = {column.name: k for k, column in enumerate(layout.SELF) if column.name.startswith("stick_")}
 
@@ -58,9 +60,12 @@ class Simulator:
         if not isinstance(scenario, Scenario):
             hint = "fovconn_env.scenario(id) makes one"
             raise SettingTypeError(f"Simulator's scenario must be a Scenario, got {scenario!r}: {hint}")
-        check_count("n_worlds", n_worlds, "a batch holds worlds")
+        n_worlds = check_count("n_worlds", n_worlds, "a batch holds worlds", most=MAX_WORLDS)
+        size = world_bytes(scenario)
+        hint = f"a world takes {size} bytes, and a batch at most {MAX_BATCH_BYTES}"
+        rule(n_worlds * size <= MAX_BATCH_BYTES, "n_worlds", f"at most {MAX_BATCH_BYTES // size}", n_worlds, hint)
         if n_threads is not None:
-            check_count("n_threads", n_threads, "leave it out for one a core")
+            n_threads = check_count("n_threads", n_threads, "leave it out for one a core", most=MAX_THREADS)
         rules = starts or scenario
         for name in ("n_agents", "course.legs"):
             own, other = attrgetter(name)(scenario), attrgetter(name)(rules)

@@ -79,9 +79,9 @@ def test_given_poses():
 @pytest.mark.parametrize(
     "make, message",
     [
-        (lambda: Corridor(width=(3, 2)), r"Corridor.width must be two numbers, 0 < least <= greatest, got \(3, 2\)"),
+        (lambda: Corridor(width=(3, 2)), r"Corridor.width must be two numbers, least <= greatest, got \(3.0, 2.0\)"),
         (lambda: Corridor(width=2.0), "Corridor.width must be"),
-        (lambda: Corridor(width=(0, 1)), "Corridor.width must be"),
+        (lambda: Corridor(width=(0, 1)), r"Corridor.width\[0\] must be above 0"),
         (lambda: Corridor(depth=0.0), "Corridor.depth must be above 0"),
         (lambda: Corridor(reach=math.inf), "Corridor.reach must be finite"),
         (lambda: Corridor(low=2.0, high=1.0), "Corridor.low must be below high"),

@@ -85,7 +85,7 @@ def test_names_of_lost_links_are_numbered_as_the_judge_counts():
 GROUPS = {
     field.name: getattr(Scenario(), field.name)
     for field in dataclasses.fields(Scenario)
-    if type(getattr(Scenario(), field.name)).__module__ == settings.__name__
+    if dataclasses.is_dataclass(field.default_factory)
 }
 DERIVED = {*"round_time travel_time rest_ticks step_time axis_x axis_y axis_z power_team".split(), *SWITCHES}
 # Settings that are no number, or reach the kernels in others.

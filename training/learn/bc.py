@@ -13,7 +13,8 @@ import numpy as np
 
 from fovconn_env import Scenario
 from fovconn_env.baselines.learned.inputs import UNITS
-from fovconn_env.errors import check_numbers, positive, rule
+from fovconn_env.bounds import check_numbers, positive
+from fovconn_env.errors import rule
 from fovconn_env.training.learn.dagger import regress
 from fovconn_env.training.learn.datasets import Episodes
 from fovconn_env.training.learn.learning import Algorithm

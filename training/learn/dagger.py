@@ -17,7 +17,8 @@ import torch
 from fovconn_env import Scenario
 from fovconn_env.baselines.learned.cards import BASES
 from fovconn_env.baselines.learned.inputs import ACTION
-from fovconn_env.errors import check_numbers, fraction, positive, rule
+from fovconn_env.bounds import check_numbers, fraction, positive
+from fovconn_env.errors import rule
 from fovconn_env.training.learn.learning import Algorithm, part
 from fovconn_env.training.learn.model import Network, actor_parameters, make_model, mean_action
 from fovconn_env.training.learn.rows import Rows

@@ -19,7 +19,7 @@ from torch import nn
 
 from fovconn_env import Scenario
 from fovconn_env.baselines.learned.policy import load
-from fovconn_env.errors import check_numbers, fraction, non_negative, positive
+from fovconn_env.bounds import check_numbers, fraction, non_negative, positive
 from fovconn_env.training.learn.learning import Algorithm, part
 from fovconn_env.training.learn.model import Network, load_weights, make_model, mean_action
 from fovconn_env.training.learn.rows import Rows

@@ -16,7 +16,8 @@ import torch
 
 from fovconn_env import Scenario
 from fovconn_env.baselines.learned.cards import BASES
-from fovconn_env.errors import fraction, non_negative, positive, rule
+from fovconn_env.bounds import fraction, non_negative, positive
+from fovconn_env.errors import rule
 from fovconn_env.training.learn.model import Network
 from fovconn_env.training.learn.ppo import PPOSettings, Team
 
