@@ -140,21 +140,21 @@ def read_file(path: Path, name: str, limit: int) -> bytes:
         return stream.read(size)
 
 
-def read_json(path: Path, name: str, limit: int) -> Any:
+def read_json(path: Path, name: str, limit: int, *, nan: bool = False) -> Any:
     """The value of a JSON file; raises as `read_file`, and `Damaged` for what is no JSON, or none of ours."""
     data = read_file(path, name, limit)
     try:
-        return parse_json(data)
+        return parse_json(data, nan=nan)
     except (ValueError, RecursionError, MemoryError) as problem:
         raise Damaged(f"{printable(str(path))} is no {name}, or damaged: {one_line(problem)}") from problem
 
 
-def parse_json(data: bytes) -> Any:
-    """The value of JSON in UTF-8, which holds no NaN and is at most `MAX_DEPTH` deep.
+def parse_json(data: bytes, *, nan: bool = False) -> Any:
+    """The value of JSON in UTF-8, at most `MAX_DEPTH` deep; nan: NaN and infinities are allowed in it.
 
     Raises `ValueError`, and whatever `json` says to what is too large for it.
     """
-    value = json.loads(data.decode(), parse_constant=_refuse_constant)
+    value = json.loads(data.decode(), parse_constant=None if nan else _refuse_constant)
     level, depth = [value], 0
     while level:
         if depth > MAX_DEPTH:
@@ -162,7 +162,7 @@ def parse_json(data: bytes) -> Any:
         inner = (item.values() if isinstance(item, dict) else item for item in level if isinstance(item, (dict, list)))
         level = [part for parts in inner for part in parts if isinstance(part, (dict, list))]
         depth += 1
-    json.dumps(value, ensure_ascii=False, allow_nan=False).encode()  # no 1e999, and no half of a surrogate pair
+    json.dumps(value, ensure_ascii=False, allow_nan=nan).encode()  # no 1e999, and no half of a surrogate pair
     return value
 
 

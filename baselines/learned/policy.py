@@ -28,6 +28,7 @@ from fovconn_env.baselines.learned.inputs import (
     scales,
 )
 from fovconn_env.baselines.policy import Policy, make_class
+from fovconn_env.baselines.sources import stamp
 from fovconn_env.errors import SettingError
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.scenarios.scenario import Scenario
@@ -98,8 +99,9 @@ class Learned(Policy):
 
     @classmethod
     def tag(cls) -> str:
-        """Hash of the weights."""
-        return load(cls.file)[0].sha256
+        """Hash of the weights, and what the card does with them."""
+        card = load(cls.file)[0]
+        return f"{card.sha256} {card.base} {card.bound}"
 
     def decide(self, flat: np.ndarray) -> np.ndarray:
         """Actions (R, 4) for flat observations (R, D)."""
@@ -144,12 +146,12 @@ def _from_file(file: Path, name: str) -> type[Learned]:
 
 def load(file: Path) -> tuple[Card, Encoder, Head]:
     """Card and weights of a file, cached until the file changes. Raises `ValueError` as `cards.read`."""
-    mtimes = tuple(part.stat().st_mtime_ns if part.is_file() else 0 for part in (file, file.with_suffix(".json")))
-    return _load(file, mtimes)
+    parts = [part for part in (file, file.with_suffix(".json")) if part.is_file()]
+    return _load(file, tuple((part, stamp(part)) for part in parts))
 
 
 @functools.lru_cache(maxsize=8)
-def _load(file: Path, mtimes: tuple[int, ...]) -> tuple[Card, Encoder, Head]:
+def _load(file: Path, _: tuple[tuple[Path, tuple[int, ...]], ...]) -> tuple[Card, Encoder, Head]:
     card, arrays = read(file, {"mlp": Head._fields, "set": Encoder._fields + Head._fields})
     empty = np.zeros((0, 0), np.float32)
     encoder = Encoder(*(arrays.get(name, empty) for name in Encoder._fields))

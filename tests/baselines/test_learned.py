@@ -290,7 +290,10 @@ BROKEN = {
         lambda f: f.with_suffix(".json").write_text('{"a": 1}'),
         "must be the card of a learned",
     ),
-    "card that is no JSON": (lambda f: f.with_suffix(".json").write_text("{"), "must be the card of a learned policy"),
+    "card that is no JSON": (
+        lambda f: f.with_suffix(".json").write_text("{"),
+        "is no card of a learned policy, or damaged",
+    ),
     "no weights": (lambda f: f.unlink(), "mine.safetensors must be a file that exists"),
     "truncated": (lambda f: f.write_bytes(f.read_bytes()[:-100]), "sha256 of .* must be what its card says"),
     "one bit flipped": (flipped, "sha256 of .* must be what its card says .*truncated or changed since"),
