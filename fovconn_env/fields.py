@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from fovconn_env.errors import rule
 
@@ -18,8 +19,8 @@ def check_keys(name: str, value: Any, needed: Sequence[str], optional: Sequence[
     for key in needed:
         rule(key in value, name, f"an object with {key!r}", sorted(value), "is it of another version?")
     for key in value:
-        known = ", ".join([*needed, *optional])
-        rule(key in needed or key in optional, name, f"an object of {known}", key, "is it of a newer fovconn_env?")
+        hint = f"is it of a newer fovconn_env? there are {', '.join([*needed, *optional])}"
+        rule(key in needed or key in optional, name, "an object of known names", key, hint)
 
 
 def check_texts(name: str, values: Any, counts: Sequence[int] | None = None) -> None:
@@ -40,7 +41,7 @@ def check_whole(name: str, value: Any, least: int, most: int, hint: str) -> None
     rule(bool(least <= value <= most), name, f"in {least}..{most}", value, hint)
 
 
-def check_array(name: str, array: Any, dtype: str, shape: Sequence[int], *, finite: bool = True) -> None:
+def check_array(name: str, array: Any, dtype: npt.DTypeLike, shape: Sequence[int], *, finite: bool = True) -> None:
     """The value must be an array of that type and shape, in which -1 is any size; its numbers must be finite."""
     rule(isinstance(array, np.ndarray), name, "an array", type(array).__name__, "is it of another version?")
     wanted = np.dtype(dtype)

@@ -145,20 +145,24 @@ def read_json(path: Path, name: str, limit: int, *, nan: bool = False) -> Any:
     data = read_file(path, name, limit)
     try:
         return parse_json(data, nan=nan)
-    except (ValueError, RecursionError, MemoryError) as problem:
+    except ValueError as problem:
         raise Damaged(f"{printable(str(path))} is no {name}, or damaged: {one_line(problem)}") from problem
 
 
 def parse_json(data: bytes, *, nan: bool = False) -> Any:
     """The value of JSON in UTF-8, at most `MAX_DEPTH` deep; nan: NaN and infinities are allowed in it.
 
-    Raises `ValueError`, and whatever `json` says to what is too large for it.
+    Raises `ValueError`.
     """
-    value = json.loads(data.decode(), parse_constant=None if nan else _refuse_constant)
+    deep = f"more than {MAX_DEPTH} lists and objects inside each other"
+    try:
+        value = json.loads(data.decode(), parse_constant=None if nan else _refuse_constant)
+    except RecursionError as problem:
+        raise SettingError(deep) from problem
     level, depth = [value], 0
     while level:
         if depth > MAX_DEPTH:
-            raise SettingError(f"more than {MAX_DEPTH} lists and objects inside each other")
+            raise SettingError(deep)
         inner = (item.values() if isinstance(item, dict) else item for item in level if isinstance(item, (dict, list)))
         level = [part for parts in inner for part in parts if isinstance(part, (dict, list))]
         depth += 1

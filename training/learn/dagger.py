@@ -19,7 +19,9 @@ from fovconn_env.baselines.learned.cards import BASES
 from fovconn_env.baselines.learned.inputs import ACTION
 from fovconn_env.bounds import check_numbers, fraction, positive
 from fovconn_env.errors import rule
-from fovconn_env.training.learn.learning import Algorithm, part
+from fovconn_env.fields import check_array
+from fovconn_env.training.learn.checkpoints import below, check_like
+from fovconn_env.training.learn.learning import Algorithm
 from fovconn_env.training.learn.model import Network, actor_parameters, make_model, mean_action
 from fovconn_env.training.learn.rows import Rows
 
@@ -130,9 +132,14 @@ class Dagger(Algorithm):
     def unpack(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Restore the state of `pack`."""
         super().unpack(arrays)
-        self.rows.unpack(part(arrays, "rows"))
-        self.filled, self.by_law = len(arrays["seen"]), arrays["by_law"]
-        self.seen[: self.filled], self.wanted[: self.filled] = arrays["seen"], arrays["wanted"]
+        check_array("seen", arrays.get("seen"), "f4", (-1, self.seen.shape[1]))
+        check_array("wanted", arrays.get("wanted"), "f4", (len(arrays["seen"]), ACTION))
+        seen, wanted = arrays["seen"], arrays["wanted"]
+        rule(len(seen) <= self.s.capacity, "seen", f"at most {self.s.capacity} rows", len(seen), "the buffer has more")
+        check_like("by_law", arrays.get("by_law"), self.by_law)
+        self.rows.unpack(below(arrays, "rows"))
+        self.filled, self.by_law = len(seen), arrays["by_law"]
+        self.seen[: self.filled], self.wanted[: self.filled] = seen, wanted
 
 
 def regress(policy, seen, wanted, count, rng, rate, s) -> float:

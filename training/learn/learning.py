@@ -30,10 +30,22 @@ from fovconn_env.baselines.laws.safety import safe
 from fovconn_env.baselines.learned.cards import SUFFIX, write
 from fovconn_env.baselines.learned.policy import from_file
 from fovconn_env.errors import SettingError, rule
-from fovconn_env.files import Archive, Kind, read_archive, write_archive, write_files, write_text
+from fovconn_env.fields import check_keys
+from fovconn_env.files import (
+    Archive,
+    Damaged,
+    Kind,
+    one_line,
+    printable,
+    read_archive,
+    write_archive,
+    write_files,
+    write_text,
+)
 from fovconn_env.scenarios.serialize import scenario_to_json
 from fovconn_env.training.evaluation import evaluate, summary
 from fovconn_env.training.evaluation.campaign import Interrupted, noted_interruption
+from fovconn_env.training.learn.checkpoints import below, check_tensors, counters, optimizer_state
 from fovconn_env.training.learn.model import Network, weights
 
 CHOICE_SEEDS = range(10_000, 10_064)  # choose the checkpoint; 0-319 are kept for the evaluation
@@ -89,21 +101,14 @@ class Algorithm(ABC):
         return arrays | {"counters": np.array([self.steps, self.iteration, self.seconds])}
 
     def unpack(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Restore the state of `pack`."""
-        self.policy.load_state_dict({k: torch.tensor(v) for k, v in part(arrays, "policy").items()})
-        state: dict[int, dict[str, torch.Tensor]] = {}
-        for name, array in part(arrays, "optimizer").items():
-            k, _, key = name.partition("/")
-            state.setdefault(int(k), {})[key] = torch.tensor(array)
+        """Restore the state of `pack`. Raises `SettingError` for arrays that this training did not leave."""
+        check_tensors("policy", arrays, self.policy.state_dict())
         optimizer = self.policy.optimizer
+        parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
+        state = optimizer_state(arrays, parameters)
+        self.steps, self.iteration, self.seconds = counters(arrays)
+        self.policy.load_state_dict({k: torch.tensor(v) for k, v in below(arrays, "policy").items()})
         optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
-        steps, iteration, self.seconds = arrays["counters"].tolist()
-        self.steps, self.iteration = int(steps), int(iteration)
-
-
-def part(arrays: Mapping[str, np.ndarray], name: str) -> dict[str, np.ndarray]:
-    """The arrays whose names begin with "name/", without that prefix."""
-    return {key.removeprefix(f"{name}/"): array for key, array in arrays.items() if key.startswith(f"{name}/")}
 
 
 # ------------------------------------------------------------------------------------------------------------- files
@@ -170,10 +175,7 @@ def train(
     if resume:
         hint = "--resume goes on in a folder in which a training was"
         rule(place.is_file(), "checkpoint", "a file that exists", str(place), hint)
-        checkpoint = read_archive(place, KIND)
-        check_recipe(checkpoint.header["recipe"], algorithm.recipe())
-        algorithm.unpack(checkpoint.arrays)
-        best = checkpoint.header["best"]
+        best = restore(algorithm, read_archive(place, KIND), printable(str(place)))
     curves, before = Curves(folder, algorithm.steps), algorithm.seconds
     began = time.perf_counter()
 
@@ -207,6 +209,31 @@ def train(
                 f"interrupted after {algorithm.steps} steps; kept in {folder}, --resume goes on from there"
             )
     return best
+
+
+def restore(algorithm: Algorithm, checkpoint: Archive, path: str) -> dict[str, Any]:
+    """Put a checkpoint into an algorithm; what its best policy scored. path: the file's name in errors.
+
+    Raises `SettingError` for a training of other settings, and `Damaged` for what no training leaves.
+    """
+    header = checkpoint.header
+    try:
+        check_keys("header", header, ("recipe", "best"))
+        for name in ("recipe", "best"):
+            rule(isinstance(header[name], dict), name, "an object", type(header[name]).__name__, "names and values")
+        tasks = header["recipe"].get("scenarios")
+        whole = isinstance(tasks, list) and all(isinstance(scenario, dict) for scenario in tasks)
+        rule(whole, "scenarios", "a list of objects", type(tasks).__name__, "settings of what is flown")
+        numbers = all(type(value) in (int, float, str) for value in header["best"].values())
+        rule(numbers and type(header["best"].get("worth", 0.0)) in (int, float), "best", "scores", header["best"], "1")
+    except SettingError as problem:
+        raise Damaged(f"{path} is damaged: {one_line(problem)}") from problem
+    check_recipe(header["recipe"], algorithm.recipe())
+    try:
+        algorithm.unpack(checkpoint.arrays)
+    except SettingError as problem:
+        raise Damaged(f"{path} is damaged: {one_line(problem)}") from problem
+    return header["best"]
 
 
 def score(algorithm: Algorithm, folder: Path, seeds: Sequence[int]) -> dict[str, float]:
@@ -248,21 +275,21 @@ def write_policy(
 
 
 def check_recipe(stored: Mapping[str, Any], current: Mapping[str, Any]) -> None:
-    """Raise `ValueError` naming the first setting in which a resumed training differs from its checkpoint."""
-    if all("type" not in scenario for scenario in stored.get("scenarios", ())):
+    """Raise `SettingError` naming the first setting in which a resumed training differs from its checkpoint."""
+    if all("type" not in scenario for scenario in stored["scenarios"]):
         current = {**current, "scenarios": as_in_version_0_1(current["scenarios"])}
-    for name in current:
-        for key in current[name] if isinstance(current[name], dict) else [None]:
-            old, new = (r.get(name) if key is None else r.get(name, {}).get(key) for r in (stored, current))
-            what = name if key is None else f"{name}.{key}"
-            shown = (
-                (old, new)
-                if name != "scenarios"
-                else ([s["name"] for s in old or ()], [s["name"] for s in current[name]])
-            )
-            hint = "resume with the same command, or train in another --out"
-            if old != new:
-                raise SettingError(f"{what} must be the checkpoint's ({shown[0]!r}), got {shown[1]!r}: {hint}")
+    hint = "resume with the same command, or train in another --out"
+    for name, new in current.items():
+        old, what = stored.get(name), name
+        if isinstance(old, dict) and isinstance(new, dict):
+            key = next((key for key in new if old.get(key) != new[key]), None)
+            if key is None:
+                continue
+            old, new, what = old.get(key), new[key], f"{name}.{key}"
+        if old != new:
+            if name == "scenarios":
+                old, new = ([scenario.get("name") for scenario in each] for each in (stored[name], current[name]))
+            raise SettingError(f"{what} must be the checkpoint's ({one_line(repr(old))}), got {new!r}: {hint}")
 
 
 def as_in_version_0_1(value: Any) -> Any:

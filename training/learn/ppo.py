@@ -20,7 +20,8 @@ from torch import nn
 from fovconn_env import Scenario
 from fovconn_env.baselines.learned.policy import load
 from fovconn_env.bounds import check_numbers, fraction, non_negative, positive
-from fovconn_env.training.learn.learning import Algorithm, part
+from fovconn_env.training.learn.checkpoints import below, check_like, check_tensors
+from fovconn_env.training.learn.learning import Algorithm
 from fovconn_env.training.learn.model import Network, load_weights, make_model, mean_action
 from fovconn_env.training.learn.rows import Rows
 
@@ -154,11 +155,14 @@ class Team(Algorithm):
     def unpack(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Restore the state of `pack`."""
         super().unpack(arrays)
-        self.rows.unpack(part(arrays, "rows"))
+        if self.anchor is not None:
+            check_tensors("anchor", arrays, self.anchor.state_dict())
+        check_like("starts", arrays.get("starts"), np.asarray(self.model._last_episode_starts))
+        self.rows.unpack(below(arrays, "rows"))
         self.model._last_obs, self.model._last_episode_starts = self.rows.observations.copy(), arrays["starts"]
         self.model.num_timesteps = self.steps
         if self.anchor is not None:
-            self.anchor.load_state_dict({k: torch.tensor(v) for k, v in part(arrays, "anchor").items()})
+            self.anchor.load_state_dict({k: torch.tensor(v) for k, v in below(arrays, "anchor").items()})
 
 
 class Quiet(BaseCallback):

@@ -18,6 +18,7 @@ from fovconn_env.baselines.learned.inputs import ACTION, gain
 from fovconn_env.baselines.learned.policy import correct_actions
 from fovconn_env.errors import check_count, rule
 from fovconn_env.flights.state_hash import frozen_dtypes
+from fovconn_env.training.learn.checkpoints import below, check_like, check_state, check_world, generators
 from fovconn_env.training.sb3 import EPISODE_KEYS, RobotsVecEnv
 
 FIRST_SEED = 50_000  # of training; seeds below choose checkpoints and evaluate
@@ -136,14 +137,15 @@ class Rows(VecEnv):
         return arrays
 
     def unpack(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Restore the state of `pack`. Raises `ValueError` for other worlds."""
-        self.observations[:], self._return[:] = arrays["observations"], arrays["return"]
-        self._length[:] = arrays["length"]
-        for k, part in enumerate(self.parts):
-            part._split[:] = arrays[f"{k}/split"]
-            prefix = f"{k}/"
-            mine = {name.removeprefix(prefix): a for name, a in arrays.items() if name.startswith(prefix)}
-            unpack_simulator(part.simulator, mine)
+        """Restore the state of `pack`. Raises `SettingError` for what is of other worlds, or of none."""
+        for name, mine in (("observations", self.observations), ("return", self._return), ("length", self._length)):
+            check_like(f"rows/{name}", arrays.get(name), mine)
+            mine[:] = arrays[name]
+        for k, each in enumerate(self.parts):
+            own = below(arrays, f"{k}")
+            check_like(f"rows/{k}/split", own.get("split"), each._split)
+            each._split[:] = own["split"]
+            unpack_simulator(each.simulator, own)
         self.ended.clear()
 
     def _extended(self, flat: np.ndarray, here: slice) -> np.ndarray:
@@ -192,11 +194,13 @@ def pack_simulator(simulator: Simulator) -> dict[str, np.ndarray]:
 
 
 def unpack_simulator(simulator: Simulator, arrays: Mapping[str, np.ndarray]) -> None:
-    """Restore the state of `pack_simulator`. Raises `ValueError` for a simulator with other settings."""
+    """Restore the state of `pack_simulator`. Raises `SettingError` for a simulator with other settings."""
     if "state/own" in arrays:
         arrays = {**arrays, **_state_of_version_0_1(arrays)}
-    stored, shape = arrays["state/flat"].shape, simulator.state.flat.shape
-    rule(stored == shape, "worlds of a checkpoint", f"of the shape {shape}", stored, "made by other settings")
+    n_agents = simulator.scenario.n_agents
+    check_state(arrays, simulator.state, n_agents)
+    check_world(arrays, simulator.world, n_agents)
+    simulator.generators[:] = generators(arrays.get("generators"), simulator.n_worlds)
     for name, array in simulator.state._asdict().items():
         if not name.endswith("_row"):
             for field in array.dtype.names or (...,):
@@ -204,17 +208,15 @@ def unpack_simulator(simulator: Simulator, arrays: Mapping[str, np.ndarray]) -> 
     world = simulator.world
     kept = {name: arrays[f"world/{name}"].astype(array.dtype) for name, array in world._asdict().items()}
     simulator.world = world._replace(**kept)
-    for b, text in enumerate(arrays["generators"].tolist()):
-        rng = np.random.default_rng(0)
-        if text:
-            rng.bit_generator.state = json.loads(text)
-        simulator.generators[b] = rng if text else None
 
 
 def _state_of_version_0_1(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The state in a checkpoint of version 0.1, its arrays and fields under today's names."""
     old_names = {"ego": "own", "broadcast": "post", "unicast": "mail"}
-    return {
-        f"state/{name}": arrays[f"state/{old_names.get(name, name)}"].view(dtype)
-        for name, dtype in frozen_dtypes(1).items()
-    }
+    state = {}
+    for name, dtype in frozen_dtypes(1).items():
+        array = arrays.get(f"state/{old_names.get(name, name)}", np.zeros(()))
+        fits = array.ndim > 0 and array.dtype.itemsize == dtype.itemsize
+        rule(fits, f"state/{name}", f"records of {dtype.itemsize} bytes", array.dtype.itemsize, "made by other code")
+        state[f"state/{name}"] = array.view(dtype)
+    return state
