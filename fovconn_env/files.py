@@ -23,6 +23,7 @@ import numpy as np
 
 from fovconn_env.errors import FovconnError, SettingError
 from fovconn_env.npz import check_types, max_bytes, read_arrays, write_arrays
+from fovconn_env.text import printable
 
 MAX_HEADER = 8 << 20  # bytes: the sticks of a flight of an hour, twice, or a map of 20,000 corners
 MAX_DEPTH = 32  # lists and objects of JSON inside each other; a map in a scenario in a header has 9
@@ -114,11 +115,6 @@ def one_line(problem: object) -> str:
     """A message's first line, not long, in which a terminal obeys nothing; the name of an error without a message."""
     text = str(problem).partition("\n")[0] or type(problem).__name__
     return printable(text if len(text) <= _LONG else f"{text[:_LONG]}...")
-
-
-def printable(text: str) -> str:
-    """A text with escapes for what is no letter, such as control characters and halves of surrogate pairs."""
-    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
 
 
 def open_file(path: Path, name: str) -> BinaryIO:

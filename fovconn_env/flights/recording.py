@@ -13,7 +13,7 @@ import numpy as np
 
 from fovconn_env.errors import FovconnError, SettingError, rule
 from fovconn_env.fields import check_keys
-from fovconn_env.files import RECORDING, Archive, Damaged, one_line, printable, read_archive, write_archive
+from fovconn_env.files import RECORDING, Archive, Damaged, one_line, read_archive, write_archive
 from fovconn_env.flights.checks import check_recording, check_versions
 from fovconn_env.flights.rollout import Observer, steps
 from fovconn_env.flights.state_hash import NEWEST, state_hash
@@ -21,6 +21,7 @@ from fovconn_env.kernel.jit import source_hash
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.scenarios.serialize import scenario_from_json, scenario_to_json
 from fovconn_env.sim.simulator import Simulator
+from fovconn_env.text import printable
 from fovconn_env.version import __version__
 
 EVERY = 200  # steps between two hashes

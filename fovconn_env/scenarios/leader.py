@@ -10,7 +10,8 @@ import numpy as np
 
 from fovconn_env.errors import SettingError, as_numbers
 from fovconn_env.fields import check_array
-from fovconn_env.files import RECORDING, Damaged, one_line, printable, read_archive
+from fovconn_env.files import RECORDING, Damaged, one_line, read_archive
+from fovconn_env.text import printable
 
 
 @dataclass(frozen=True, eq=False)

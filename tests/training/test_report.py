@@ -27,6 +27,7 @@ from fovconn_env.training.evaluation.tables import (
     overall_table,
     scenario_table,
 )
+from tests.test_text import HOSTILE
 
 HEAD = {"seeds": "0-23", "date": "2026-01-01", "settings": "n_agents=3 | max_cycles<=40"}
 POLICIES = ("expert", "random", "oracle", "expert-no-yaw", "my_own|policy")
@@ -55,7 +56,7 @@ def team(flown):
 
 def fake(model, policy, seeds):
     """Episodes of a policy that was never flown: every measure of the model's, some of them drawn."""
-    rng = np.random.default_rng([len(policy), *policy.encode(), len(model.scenario.name)])
+    rng = np.random.default_rng([len(policy), *policy.encode("utf-8", "surrogatepass"), len(model.scenario.name)])
     count, skill = len(seeds), {"expert": 0.9, "random": 0.2}.get(policy, 0.7)
     kept, collision = (rng.random(count) < skill) * 1.0, (rng.random(count) < 0.1) * 1.0
     time = rng.uniform(1.0, 9.0, count)
@@ -364,3 +365,17 @@ def test_marl_eval_refuses_names_it_would_mix_up(team):
         with pytest.raises(ValueError, match=message):
             to_marl_eval(team(names))
     assert set(to_marl_eval(team()[:-1])["fovconn"]["Regroup-v0"]) == set(POLICIES) - {"my_own|policy"}
+
+
+# ------------------------------------------------------------------------------------------------- names of any kind
+def test_names_are_shown_as_they_are(team, tmp_path):
+    """Nothing in the name of a policy is HTML, Markdown, a formula or a path."""
+    policies = ("expert", *HOSTILE)
+    files = report(team(policies), tmp_path, {**HEAD, "settings": "".join(HOSTILE)})
+    assert {file.parent for file in files} == {tmp_path, tmp_path / "plots"}
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert "<script" not in page
+    assert "&lt;/script&gt;&lt;script&gt;alert(1)" in page
+    text = (tmp_path / "report.md").read_text("utf-8")
+    assert "](javascript" not in text
+    assert all(line.isprintable() for line in [*text.split("\n"), *page.split("\n")])

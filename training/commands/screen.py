@@ -8,29 +8,59 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TaskProgressColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
+from rich.text import Text
 
 from fovconn_env import Scenario
 from fovconn_env.baselines import find_policy
 from fovconn_env.flights.rollout import rollout
+from fovconn_env.text import literal
 from fovconn_env.training.evaluation import Evaluation
 from fovconn_env.training.evaluation.record import result_of
 from fovconn_env.training.evaluation.tables import card
 
+
 # a pipe has no width; rich would take 80 letters, too few for the tables
-out = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else 132)
-err = Console(stderr=True)
+class _LiteralConsole(Console):
+    """Prints strings as they are: they may be a user's or a file's, so nothing in them is markup or a command."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(markup=False, emoji=False, highlight=False, **options)
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """What `print` and tables make of each string."""
+        return super().render_str(literal(text), **options)
+
+
+class _Description(ProgressColumn):
+    """What a task of a progress bar does, as it is."""
+
+    def render(self, task: Task) -> Text:
+        return Text(literal(f"{task.description:32}"))
+
+
+out = _LiteralConsole(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else 132)
+err = _LiteralConsole(stderr=True)
 
 
 @contextmanager
 def progress() -> Iterator[Progress]:
     """A progress bar on the terminal, beside what is printed."""
     columns = (
-        TextColumn("{task.description:32}"),
+        _Description(),
         BarColumn(),
         TaskProgressColumn(),
         TimeElapsedColumn(),

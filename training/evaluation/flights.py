@@ -12,6 +12,7 @@ from fovconn_env import Recorder, Recording, Scenario
 from fovconn_env.baselines import POLICIES, Policy, find_policy
 from fovconn_env.flights.metrics import ERRORS, Meter, quantile
 from fovconn_env.flights.rollout import Observer, rollout
+from fovconn_env.text import literal
 from fovconn_env.training.evaluation.statistics import share_interval
 
 BATCH = 256  # worlds flown at once
@@ -89,7 +90,7 @@ def join(parts: Sequence[Evaluation]) -> Evaluation:
 def label(policy: str | type[Policy]) -> str:
     """What a policy is called in tables: its name in POLICIES, or its class's."""
     kind = find_policy(policy)
-    return policy if isinstance(policy, str) and policy in POLICIES else kind.__name__
+    return policy if isinstance(policy, str) and policy in POLICIES else literal(kind.__name__)
 
 
 def summary(evaluation: Evaluation) -> dict[str, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +19,7 @@ from matplotlib.ticker import MaxNLocator, NullLocator, PercentFormatter
 from fovconn_env.flights.metrics import ERRORS, LOST_BY, bin_edges
 from fovconn_env.layout import LOST_PAIR
 from fovconn_env.render.figures.style import DARK, FAINT, FOLLOWERS, LEADER, RC, save, sheet
+from fovconn_env.text import file_name, in_figure
 from fovconn_env.training.evaluation.comparison import EXPERT, MERIT, Compared, Comparison
 from fovconn_env.training.evaluation.statistics import survival
 
@@ -62,6 +62,7 @@ def line_styles(policies: list[str]) -> dict[str, LineStyle]:
 def draw(comparison: Comparison, names: Mapping[str, str], scenario: str, folder: Path) -> list[Picture]:
     """Draw all pictures of a scenario into a folder; names: what each of its policies is called, with its mark."""
     styles, compared = line_styles(comparison.policies), comparison.on(scenario)
+    names = {policy: in_figure(name) for policy, name in names.items()}
     kinds: list[tuple[str, str, str, Callable[..., Figure | None]]] = [
         ("curves", "Connectivity and score", CURVES_TEXT, draw_curves),
         ("differences", "Differences to the expert", DIFFERENCES_TEXT, draw_differences),
@@ -72,7 +73,7 @@ def draw(comparison: Comparison, names: Mapping[str, str], scenario: str, folder
     for kind, title, text, make in kinds:
         figure = make(compared, names, styles)
         if figure is not None:
-            path = folder / f"{re.sub(r'[^A-Za-z0-9.-]+', '_', scenario)}_{kind}.png"
+            path = folder / f"{file_name(scenario)}_{kind}.png"
             pictures.append(Picture(save(figure, path), title, text))
     return pictures
 

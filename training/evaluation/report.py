@@ -7,13 +7,14 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from fovconn_env.files import write_text
 from fovconn_env.layout import LOST_PAIR
+from fovconn_env.text import printable
 from fovconn_env.training.evaluation.comparison import EXPERT, Comparison
 from fovconn_env.training.evaluation.pictures import Picture, draw
 from fovconn_env.training.evaluation.record import Record
@@ -96,7 +97,7 @@ def in_markdown(head: Mapping[str, str], sections: Sequence[Section], folder: Pa
     """The report as Markdown; pictures are named relative to the folder."""
     parts = [f"# {TITLE}", "\n".join(f"- {name}: {escape(str(value))}" for name, value in head.items())]
     for section in sections:
-        parts += [f"## {section.title}", *section.lines]
+        parts += [f"## {escape(section.title)}", *section.lines]
         if section.terms:
             parts.append("\n".join(f"- {escape(name)}: {escape(text)}" for name, text in section.terms))
         if section.link:
@@ -106,14 +107,21 @@ def in_markdown(head: Mapping[str, str], sections: Sequence[Section], folder: Pa
             parts += [f"### {table.title}", markdown((table.head, table.rows), literal=True), *table.notes]
         for picture in section.pictures:
             where = picture.path.relative_to(folder).as_posix()
-            parts += [f"### {picture.title}", f"![{section.title}: {picture.title}]({where})", escape(picture.text)]
+            parts += [
+                f"### {picture.title}",
+                f"![{escape(section.title)}: {picture.title}]({where})",
+                escape(picture.text),
+            ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
 def in_html(head: Mapping[str, str], sections: Sequence[Section]) -> str:
     """The report as one HTML file with its pictures inside."""
     loader = Environment(
-        loader=PackageLoader("fovconn_env.training.evaluation"), autoescape=True, undefined=StrictUndefined
+        loader=PackageLoader("fovconn_env.training.evaluation"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_shown,
     )
     loader.filters["embedded"] = _embedded
     return loader.get_template("report.html").render(title=TITLE, head=head, sections=sections) + "\n"
@@ -164,6 +172,11 @@ def _scenario(comparison: Comparison, record: Record, scenario: str, plots: Path
     lines = [f"{count} episode{'s' if count > 1 else ''} a policy, all from the same seeds."]
     names = {policy: marked(record, policy) for policy in comparison.on(scenario)}
     return Section(scenario, lines, tables=tables, pictures=draw(comparison, names, scenario, plots))
+
+
+def _shown(value: Any) -> Any:
+    """A value of the page; a file in UTF-8 takes no half of a letter."""
+    return printable(value) if type(value) is str else value
 
 
 def _embedded(path: Path) -> str:

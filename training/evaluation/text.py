@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from fovconn_env.text import printable
 from fovconn_env.training.evaluation.statistics import Estimate
 
 Table = tuple[list[str], list[list[str]]]  # head, rows
@@ -70,4 +71,4 @@ def markdown(table: Table, *, literal: bool = False) -> str:
 
 def escape(text: str) -> str:
     """A line of text that Markdown takes literally."""
-    return re.sub(r"([\\|<>*_`])", r"\\\1", text)
+    return re.sub(r"([\\|<>*_`]|(?<=\])\()", r"\\\1", printable(text))

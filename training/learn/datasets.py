@@ -26,11 +26,12 @@ from fovconn_env.baselines import Policy, find_policy
 from fovconn_env.baselines.learned.inputs import ACTION, columns, full_scale
 from fovconn_env.errors import SettingError, rule
 from fovconn_env.fields import check_array, check_keys, check_texts, check_whole
-from fovconn_env.files import Archive, Damaged, Kind, one_line, printable, read_archive, write_archive
+from fovconn_env.files import Archive, Damaged, Kind, one_line, read_archive, write_archive
 from fovconn_env.flights.recording import replay
 from fovconn_env.flights.rollout import Observer, rollout
 from fovconn_env.layout import observation_size
 from fovconn_env.scenarios.serialize import scenario_to_json
+from fovconn_env.text import printable
 from fovconn_env.training.evaluation.flights import label
 
 KIND = Kind(

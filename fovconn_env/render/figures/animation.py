@@ -19,6 +19,7 @@ from fovconn_env.render.figures import style
 from fovconn_env.render.figures.gif import write_gif
 from fovconn_env.render.figures.scene import Scene, arrow_shape, body_shapes, draw_ground, rotate_quarter
 from fovconn_env.render.figures.timelines import plot_lambda2
+from fovconn_env.text import in_figure
 
 WIDTH, HEIGHT = 8.0, 7.0  # inches; 800 x 700 pixels in the animation
 _SCENE, _STRIP = (0.012, 0.335, 0.976, 0.61), (0.075, 0.075, 0.905, 0.185)  # left, bottom, width, height: shares
@@ -79,7 +80,8 @@ class Movie:
 
     def _draw_legend(self) -> None:
         scenario = self._flight.scenario
-        self._figure.text(0.015, 0.962, f"{scenario.name}, seed {self._flight.seed}", fontsize=12, weight="bold")
+        title = f"{in_figure(scenario.name)}, seed {self._flight.seed}"
+        self._figure.text(0.015, 0.962, title, fontsize=12, weight="bold")
         wedge, drop = MarkerPath.wedge(-65, 65), MarkerPath(body_shapes(np.zeros((1, 4)), 1.0)[0])
         handles = [
             Line2D([], [], color=style.MUTUAL, lw=3.0, label="see each other"),

@@ -23,6 +23,7 @@ from fovconn_env.render.figures import style
 from fovconn_env.render.figures.scene import body_shapes
 from fovconn_env.render.obstacles import outlines
 from fovconn_env.scenarios.scenario import Scenario
+from fovconn_env.text import in_figure
 
 _LABELS = 40  # greatest number of obstacles that get labels
 _FREE = "#F3E3DF"
@@ -47,7 +48,7 @@ def draw_plan(
     axes = figure.add_subplot(aspect="equal", xlim=(left, right), ylim=(low, high), xlabel="x (m)", ylabel="y (m)")
     levels = {"floor": scenario.floor, "ceiling": scenario.ceiling}
     words = [f"{name} at {height:g} m" for name, height in levels.items() if height is not None]
-    figure.suptitle(", ".join([title, *words] if title else words), fontsize=10, weight="bold")
+    figure.suptitle(", ".join([in_figure(title), *words] if title else words), fontsize=10, weight="bold")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(9, steps=[1, 2, 5, 10]))
     grown = pieces.copy()

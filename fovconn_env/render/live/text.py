@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pygame
 
+from fovconn_env.text import literal, printable
+
 _CACHED = 600  # renderings
 _HALO = [(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y]
 
@@ -36,11 +38,11 @@ class Typesetter:
 
     def width(self, text: str, *, bold: bool = False) -> int:
         """Width of a text, px."""
-        return self._fonts[bold].size(text)[0]
+        return self._fonts[bold].size(printable(literal(text)))[0]
 
     def render(self, text: str, color: str, *, halo: str = "", bold: bool = False) -> pygame.Surface:
         """A text as a surface. halo: colour of an outline that keeps it readable on lines."""
-        key = text, color, halo, bold
+        key = printable(literal(text)), color, halo, bold
         if key not in self._cache:
             if len(self._cache) > _CACHED:
                 self._cache.clear()

@@ -10,6 +10,7 @@ import pygame
 
 from fovconn_env.render.live.view import LEAST, View
 from fovconn_env.sim.simulator import Simulator
+from fovconn_env.text import label
 
 _INVISIBLE = ("offscreen", "dummy")  # SDL's fallbacks without a display; accepted if requested by name
 
@@ -23,7 +24,7 @@ def open_window(title: str, size: tuple[int, int]) -> pygame.Window:
     if driver in _INVISIBLE and os.environ.get("SDL_VIDEODRIVER") != driver:
         pygame.display.quit()
         raise pygame.error(f"there is only the video driver {driver!r}")
-    window = pygame.Window(f"fovconn_env: {title}", size, resizable=True)
+    window = pygame.Window(f"fovconn_env: {label(title)}", size, resizable=True)
     window.minimum_size = LEAST
     return window
 

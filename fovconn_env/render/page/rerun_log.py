@@ -17,6 +17,7 @@ from fovconn_env.render import palette, sight
 from fovconn_env.render.levels import levels_of
 from fovconn_env.render.obstacles import outlines
 from fovconn_env.render.shapes3d import BODY, NOSE, QUADROTOR, ROTOR, attitudes, fan, grid_lines, rim
+from fovconn_env.text import label
 
 THEME = palette.DARK  # as rerun's viewer
 TIMELINE = "time"  # s
@@ -40,7 +41,7 @@ def write_rrd(flight: Flight, path: Path) -> Path:
             f'write_rrd() needs {missing.name}: pip install "fovconn-env[rerun]"'
         ) from missing
     path.open("wb").close()  # an OSError where that fails; rerun's own is a RuntimeError
-    name = f"{flight.scenario.name}, seed {flight.seed}"
+    name = f"{label(flight.scenario.name)}, seed {flight.seed}"
     with rr.RecordingStream("fovconn_env", recording_id=name) as stream:
         stream.save(path, default_blueprint=_layout(rr, flight))
         stream.send_recording_name(f"{name}: {flight.outcome} after {flight.time[-1]:.1f} s")

@@ -23,6 +23,7 @@ from fovconn_env.flights.flight import Flight
 from fovconn_env.render import palette, sight
 from fovconn_env.render.levels import Levels, levels_of
 from fovconn_env.render.obstacles import outlines
+from fovconn_env.text import label
 
 INTERVAL = 0.1  # s between the instants in the page
 SCRIPTS = ("data.js", "shapes.js", "view.js", "plots.js", "page.js")
@@ -132,7 +133,7 @@ def _version() -> str:
 
 
 def _title(flight: Flight) -> str:
-    return html.escape(f"{flight.scenario.name}, seed {flight.seed}")
+    return html.escape(f"{label(flight.scenario.name)}, seed {flight.seed}")
 
 
 def _summary(flight: Flight) -> str:
@@ -170,7 +171,7 @@ def _embedded(flight: Flight) -> str:
 _PARTS: dict[str, Callable[[Flight], str]] = {
     "version": lambda _: _version(),
     "title": _title,
-    "name": lambda flight: html.escape(flight.scenario.name),
+    "name": lambda flight: html.escape(label(flight.scenario.name)),
     "summary": _summary,
     "grid": lambda _: f"{_GRID:g}",
     "colors": _colors,
