@@ -133,13 +133,20 @@ def test_a_policy_that_breaks_is_named_and_the_others_are_kept(tmp_path, case):
     assert len(list((tmp_path / "kept").iterdir())) == 1
 
 
-def test_two_policies_of_one_name_are_told_apart_by_nobody(tmp_path):
-    for name in "ab":
-        (tmp_path / f"{name}.py").write_text(
-            "from fovconn_env.baselines import Expert\nclass Mine(Expert):\n    '''Mine.'''\n"
-        )
+@pytest.mark.parametrize("second", ["Mine", "MINE"])
+def test_two_policies_of_one_name_are_told_apart_by_nobody(tmp_path, second):
+    """Names that differ in case only are one to marl-eval and to some file systems: refused before anything flies."""
+    for file, name in {"a": "Mine", "b": second}.items():
+        text = f"from fovconn_env.baselines import Expert\nclass {name}(Expert):\n    'Mine.'\n"
+        (tmp_path / f"{file}.py").write_text(text)
     with pytest.raises(ValueError, match=r"policies must have different names, got .*a.py. and .*b.py.: rename"):
-        fly_cells([Cell(str(tmp_path / f"{name}.py"), TASK) for name in "ab"], [0])
+        fly_cells([Cell(str(tmp_path / f"{file}.py"), TASK) for file in "ab"], [0])
+
+
+def test_a_name_with_a_comma_is_refused_before_anything_flies(tmp_path):
+    (tmp_path / "a,b.py").write_text("def act(flat):\n    raise AssertionError\n")
+    with pytest.raises(ValueError, match=r"the name of policy '.*a,b\.py' must be without a comma, got 'a,b'"):
+        fly_cells([Cell(str(tmp_path / "a,b.py"), TASK)], [0])
 
 
 def test_interruption_keeps_what_is_finished(tmp_path):

@@ -22,7 +22,7 @@ from fovconn_env.training.commands.options import (
     parse,
 )
 from fovconn_env.training.commands.screen import err, grid, measures, out, say_written, width
-from fovconn_env.training.evaluation.campaign import DEV_SEEDS, parse_seeds, suite
+from fovconn_env.training.evaluation.campaign import DEV_SEEDS, check_labels, parse_seeds, suite
 from fovconn_env.training.evaluation.record import Record, to_json, write_json
 from fovconn_env.training.evaluation.results import publish
 from fovconn_env.training.evaluation.shelf import Cell
@@ -66,6 +66,7 @@ def command(
     cells = [Cell(policy, task) for task in scenarios for policy in chosen]
     for cell in cells:
         find_policy(cell.policy).equip(cell.scenario)
+    check_labels(cells)
     check_folder(folder)
     check_folder(recordings, "--record")
     check_writable({"--json": json_file})

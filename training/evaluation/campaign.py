@@ -16,7 +16,7 @@ from typing import Any
 
 from fovconn_env import PRESETS, Recorder, Scenario
 from fovconn_env.baselines import POLICIES
-from fovconn_env.errors import MachineError, SettingError
+from fovconn_env.errors import MachineError, SettingError, rule
 from fovconn_env.training.evaluation.flights import Evaluation, fly, join, label
 from fovconn_env.training.evaluation.shelf import Cell, Shelf
 
@@ -68,7 +68,7 @@ def fly_cells(
     the number of episodes done, those found among them. Raises `ValueError` for two policies of one label or a policy
     that fails, `Interrupted` after Ctrl-C; both leave what was finished in the folders.
     """
-    _check_labels(cells)
+    check_labels(cells)
     shelf = Shelf(folder)
     done = [None if fresh else shelf.load(cell) for cell in cells]
     orders = _orders(cells, seeds, done if recordings is None else [None] * len(done))
@@ -187,12 +187,16 @@ def _fly_block(recordings: Path | None, slot: int, cell: Cell, seeds: list[int])
     return part
 
 
-def _check_labels(cells: Sequence[Cell]) -> None:
+def check_labels(cells: Sequence[Cell]) -> None:
+    """`SettingError` unless tables, files and marl-eval can tell the policies apart by what they are called."""
     known: dict[str, str] = {}
     for policy in dict.fromkeys(cell.policy for cell in cells):
-        other = known.setdefault(label(policy), policy)
+        name = label(policy)
+        rule("," not in name, f"the name of policy {policy!r}", "without a comma", name, "marl-eval separates by it")
+        other = known.setdefault(name.lower(), policy)
         if other != policy:
-            raise SettingError(f"policies must have different names, got {other!r} and {policy!r}: rename a class")
+            hint = "rename a class; small and large letters are the same to file systems and marl-eval"
+            raise SettingError(f"policies must have different names, got {other!r} and {policy!r}: {hint}")
 
 
 def _in_order(part: Evaluation, seeds: Sequence[int]) -> Evaluation:
