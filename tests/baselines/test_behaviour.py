@@ -1,8 +1,10 @@
 """What the paper's controller, the simple laws and the search are worth; the estimators keep to their bars."""
 
+import numpy as np
 import pytest
 
-from fovconn_env import PRESETS, scenario
+from fovconn_env import PRESETS, Simulator, scenario
+from fovconn_env.baselines import find_policy, load_policy
 from fovconn_env.training.evaluation import evaluate, summary
 
 pytestmark = pytest.mark.slow
@@ -93,6 +95,21 @@ def test_leader_obstacles():
     report = fly("expert", "LeaderObstacles-v0", 60)
     assert report["collision"] == 0.0
     assert report["never_disconnected"] >= 0.6
+
+
+@pytest.mark.parametrize("name, keeps_off", [("expert", True), ("residual", True), ("zero", False)])
+def test_laws_keep_off_floor_and_ceiling(name, keeps_off):
+    """The leader is pulled down at 1 m/s for 17 s, then up; all that laws know of the floor are range points."""
+    settings = {"leader": "human", "floor": -3.0, "ceiling": 3.5, "max_cycles": 680, "patience": 1e3}
+    policy = load_policy(name, task := find_policy(name).equip(scenario("LeaderFollow-v0", **settings)))
+    simulator, least = Simulator(task, 4), np.inf
+    simulator.reset(0)
+    for step in range(680):
+        simulator.push((0.0, 0.0, -1.0 if step < 340 else 1.0))
+        simulator.step(policy.act(simulator.observations))
+        least = min(least, simulator.infos["clearance"].min())
+    assert simulator.state.episode["collision"].all() == simulator.state.episode["collision"].any() == (not keeps_off)
+    assert (least > 1.0) == keeps_off
 
 
 def test_regroup_raises_lambda2():
