@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import itertools
 import os
 import pickle
@@ -24,6 +25,7 @@ from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.scenarios.sizes import MAX_BATCH_BYTES, world_bytes
 from fovconn_env.sim.graph import Graph, observed_graph
 from fovconn_env.sim.memory import NO_ACTIONS, NO_MASK, allocate, clear, place, scratch
+from fovconn_env.sim.seeds import Seed, world_seeds
 from fovconn_env.sim.starts import EpisodeStart, StartSampler, check_start, draw_faults
 
 WORLDS_PER_SLICE = 16  # smaller slices are not worth a thread
@@ -71,7 +73,7 @@ class Simulator:
             own, other = attrgetter(name)(scenario), attrgetter(name)(rules)
             rule(other == own, f"starts.{name}", f"the scenario's ({own})", other, "a start must fit the flight")
         self.scenario, self.starts, self.n_worlds = scenario, rules, n_worlds
-        self.max_cycles = scenario.max_cycles
+        self._max_cycles = scenario.max_cycles
         self.params = scenario.params()
         self.world, self.state = allocate(scenario, n_worlds, 1, 1)
         self.state.episode["over"] = True  # until the first reset
@@ -79,9 +81,19 @@ class Simulator:
         self.generators: list[np.random.Generator | None] = [None] * n_worlds  # from a world's first reset on
         self.seeds: list[int | None] = [None] * n_worlds  # of the worlds' starts; None without a seed
         self.n_threads = min(n_threads or _available_cores(), max(n_worlds // WORLDS_PER_SLICE, 1))
+        self.closed = False
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
         warm = scenario.warmup if scenario.lambda2 in ("power", "flooding") else 0.0
         self.warm_ticks = max(round(warm / scenario.clock.tick), 2)  # two ticks fill all columns of the observation
+
+    @property
+    def max_cycles(self) -> int:
+        """Steps until an episode is truncated; a new value holds from the next reset on."""
+        return self._max_cycles
+
+    @max_cycles.setter
+    def max_cycles(self, value: int) -> None:
+        self._max_cycles = int(dataclasses.replace(self.scenario, max_cycles=value).max_cycles)
 
     # ------------------------------------------------------------------------------------------------ results
     @property
@@ -168,33 +180,36 @@ class Simulator:
     # ------------------------------------------------------------------------------------------------- actions
     def reset(
         self,
-        seed: int | Sequence[int] | None = None,
+        seed: Seed = None,
         *,
         mask: np.ndarray | None = None,
-        poses: np.ndarray | None = None,
+        poses: npt.ArrayLike | None = None,
         starts: EpisodeStart | Sequence[EpisodeStart] | None = None,
     ) -> np.ndarray:
         """Start the masked worlds (all by default) and return the observations, (B, N, D).
 
-        seed: world b gets seed + b, or seed[b]; None goes on with each world's generator. poses: (N, 4) x, y, z, yaw
-        for every masked world. starts: one for every masked world, or starts[b] of B, used instead of drawn ones; the
-        seed then sets the noise, and the faults where a start has none. A `ValueError` leaves every world unchanged.
+        seed: world b gets seed + b, or seed[b], at most 2**63 - 1; None goes on with a world's generator. poses: (N, 4)
+        x, y, z, yaw for every masked world, or (B, N, 4). starts: one for every masked world, or starts[b] of B, used
+        instead of drawn ones; the seed then sets the noise, and the faults where a start has none. A `ValueError`
+        leaves every world unchanged.
         """
+        self._check_open()
         chosen = np.ones(self.n_worlds, bool) if mask is None else np.asarray(mask, bool)
         if chosen.shape != (self.n_worlds,):
             raise SettingError(f"mask must have the shape ({self.n_worlds},), got {chosen.shape}: one entry a world")
-        seeds, given = self._world_seeds(seed), self._world_starts(starts, poses)
+        seeds, placed = world_seeds(seed, self.n_worlds), self._world_poses(poses)
+        given = self._world_starts(starts, poses)
         new: dict[int, tuple[np.random.Generator, EpisodeStart, int]] = {}
         for b in np.flatnonzero(chosen).tolist():
-            rng = self._copy_generator(b) if seeds is None else np.random.default_rng(seeds[b])
-            start = self._sampler.draw(rng, poses) if given is None else check_start(given[b], self.scenario)
+            rng = self._copy_generator(b) if seeds[b] is None else np.random.default_rng(seeds[b])
+            start = self._sampler.draw(rng, placed[b]) if given is None else check_start(given[b], self.scenario)
             key = int(rng.integers(2**63))
             faults = start.faults if len(start.faults) else draw_faults(self.scenario, rng)
             new[b] = rng, start._replace(faults=faults), key
         self._grow_obstacle_arrays(new)
         for b, (rng, start, key) in new.items():
             self.generators[b] = rng
-            self.seeds[b] = None if seeds is None or given is not None else seeds[b]
+            self.seeds[b] = None if given is not None else seeds[b]
             self._write_start(b, start, key)
         self._run_worlds(NO_ACTIONS, chosen, self.warm_ticks)
         return self.observations
@@ -205,6 +220,7 @@ class Simulator:
         into: (B, N, D) float32; the stepping threads copy the observations to it. Worlds whose episode is over do not
         change. Raises `ValueError`, naming world and robot, for a wrong shape or NaN; then nothing moves.
         """
+        self._check_open()
         actions = as_numbers("actions", actions)
         shape = (self.n_worlds, self.scenario.n_agents, 4)
         if actions.shape != shape:
@@ -218,6 +234,13 @@ class Simulator:
             )
         self._run_worlds(actions, NO_MASK, 0, into)
         return self.observations
+
+    def close(self) -> None:
+        """End the threads; a second call has no effect. `reset` and `step` of a closed one raise `RuntimeError`."""
+        self.closed = True
+        if self._pool is not None and self._pool[0] == os.getpid():
+            self._pool[1].shutdown()
+        self._pool = None
 
     # ------------------------------------------------------------------------------------------------ operator
     @property
@@ -244,8 +267,8 @@ class Simulator:
             self.state.episode[name][~self.over] = 0.0
         self._update_sticks()
 
-    def push(self, stick: npt.ArrayLike) -> None:
-        """Give a human leader's stick, (3,) for all worlds or (B, 3), m/s in the leader's yaw frame.
+    def push(self, stick: npt.ArrayLike, *, world: int | None = None) -> None:
+        """Give a human leader's stick, (3,) for one world or for all, or (B, 3), m/s in the leader's yaw frame.
 
         Its length is clipped to `Scenario.stick_speed`. It holds until the next push and is zero after a reset; the
         leader's observation is updated at once. Worlds whose episode is over do not change. Raises `ValueError` for
@@ -261,8 +284,9 @@ class Simulator:
         speed, limit = np.hypot(np.hypot(stick[..., 0], stick[..., 1]), stick[..., 2]), self.scenario.stick_speed
         too_long = speed > limit * (1.0 + 1e-12)  # a clipped stick does not change when it is pushed again
         stick = stick * np.where(too_long, limit / np.where(too_long, speed, 1.0), 1.0)[..., None]
+        chosen = self._running(world)
         for k, name in enumerate(_STICK):
-            self.state.episode[name][~self.over] = np.broadcast_to(stick, (self.n_worlds, 3))[~self.over, k]
+            self.state.episode[name][chosen] = np.broadcast_to(stick, (self.n_worlds, 3))[chosen, k]
         self._write_sticks()
 
     def lead(self, robot: int, *, world: int | None = None) -> None:
@@ -274,9 +298,7 @@ class Simulator:
         """
         rule(self.leader != "none", "Simulator.leader", "any but none to lead", "none", "nobody holds a stick")
         _check_index("robot", robot, self.scenario.n_agents, "robots")
-        if world is not None:
-            _check_index("world", world, self.n_worlds, "worlds")
-        chosen = ~self.over & (True if world is None else np.arange(self.n_worlds) == world)
+        chosen = self._running(world)
         dead = chosen & ~self.state.body["alive"][:, robot]
         if dead.any():
             raise SettingError(
@@ -284,6 +306,13 @@ class Simulator:
             )
         self.state.episode["leader"][chosen] = robot
         self._update_sticks()
+
+    def _running(self, world: int | None) -> np.ndarray:
+        """Which worlds are under way, of one or of all, (B,) bool."""
+        if world is None:
+            return ~self.over
+        _check_index("world", world, self.n_worlds, "worlds")
+        return ~self.over & (np.arange(self.n_worlds) == world)
 
     def _update_sticks(self) -> None:
         """Compute the operator's sticks after a change of leader."""
@@ -305,20 +334,15 @@ class Simulator:
         rng = self.generators[b]
         return np.random.default_rng() if rng is None else copy.deepcopy(rng)
 
-    def _world_seeds(self, seed: int | Sequence[int] | None) -> list[int] | None:
-        """The seed of each world, (B,), or None. Raises `ValueError` for other values."""
-        if seed is None:
-            return None
-        whole = (int, np.integer)
-        seeds = [seed + b for b in range(self.n_worlds)] if isinstance(seed, whole) else seed
-        complete = isinstance(seeds, Sequence) and len(seeds) == self.n_worlds
-        if not complete or not all(isinstance(s, whole) and s >= 0 for s in seeds):
-            many = f", or {self.n_worlds} of them" if self.n_worlds > 1 else ""
-            raise SettingError(f"seed must be a whole number, at least 0{many}, got {seed!r}: one a world")
-        return [int(s) for s in seeds]
+    def _world_poses(self, poses: npt.ArrayLike | None) -> list[np.ndarray | None]:
+        """The given poses of each world, (B,) of (N, 4) or None; their shapes are checked where they are used."""
+        if poses is None:
+            return [None] * self.n_worlds
+        poses = as_numbers("poses", poses)
+        return list(poses) if poses.ndim == 3 and len(poses) == self.n_worlds else [poses] * self.n_worlds
 
     def _world_starts(
-        self, starts: EpisodeStart | Sequence[EpisodeStart] | None, poses: np.ndarray | None
+        self, starts: EpisodeStart | Sequence[EpisodeStart] | None, poses: npt.ArrayLike | None
     ) -> Sequence[EpisodeStart] | None:
         """The given start of each world, (B,), or None. Raises `ValueError` for another number, or with poses."""
         if starts is None:
@@ -377,6 +401,13 @@ class Simulator:
         work()
         for future in futures:
             future.result()
+
+    def _check_open(self) -> None:
+        if self.closed:
+            raise RuntimeError(f"{self} is closed: make another one")
+
+    def __repr__(self) -> str:
+        return f"Simulator({self.scenario.name}, n_worlds={self.n_worlds})"
 
     def __getstate__(self) -> dict:
         return {**self.__dict__, "_pool": None}
