@@ -127,10 +127,10 @@ def _world_sticks(sticks: np.ndarray, leaders: np.ndarray, poses: np.ndarray) ->
     return np.vstack([np.zeros((1, 3)), np.stack([c * x - s * y, s * x + c * y, z], axis=-1)])
 
 
-def world_stick(simulator: Simulator) -> np.ndarray:
-    """The operator's velocity in the next step of the first world, (3,) m/s, world frame."""
-    episode = simulator.state.episode[0]
-    leader = simulator.state.body[0, episode["leader"]]
+def world_stick(simulator: Simulator, world: int = 0) -> np.ndarray:
+    """The operator's velocity in the next step of a world, (3,) m/s, world frame."""
+    episode = simulator.state.episode[world]
+    leader = simulator.state.body[world, episode["leader"]]
     x, y, z = episode["stick_x"], episode["stick_y"], episode["stick_z"]
     c, s = leader["cos_yaw"], leader["sin_yaw"]
     return np.array([c * x - s * y, s * x + c * y, z])

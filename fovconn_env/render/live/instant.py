@@ -1,4 +1,4 @@
-"""A copy of a simulator's first world at one instant, for a picture."""
+"""A copy of one of a simulator's worlds at one instant, for a picture."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ class Instant(NamedTuple):
     outcome: str  # "" during the flight
 
 
-def instant_of(simulator: Simulator) -> Instant:
-    """The first world now, copied; the simulator does not change."""
+def instant_of(simulator: Simulator, world: int = 0) -> Instant:
+    """A world now, copied; the simulator does not change."""
     state, scenario = simulator.state, simulator.scenario
-    body, episode, poses = state.body[0], state.episode[0], simulator.poses()[0]
+    body, episode, poses = state.body[world], state.episode[world], simulator.poses()[world]
     endings = (name for name in ("success", "collision", "disconnected", "truncated") if episode[name])
     works = {name: body[name] if scenario.faults else np.ones(len(body), bool) for name in ("alive", "sees", "talks")}
     return Instant(
@@ -43,15 +43,15 @@ def instant_of(simulator: Simulator) -> Instant:
         time=float(episode["step"] * scenario.step_time),
         poses=poses,
         tilt=np.stack([body["roll"], body["pitch"]], axis=-1),
-        stick=world_stick(simulator),
+        stick=world_stick(simulator, world),
         leader=int(episode["leader"]),
-        weights=state.pair["weight"][0].copy(),
-        watch=state.pair["f_star"][0].copy(),
+        weights=state.pair["weight"][world].copy(),
+        watch=state.pair["f_star"][world].copy(),
         lambda2=float(episode["lambda2"]),
-        lambda2_hat=state.belief["lambda2_hat"][0].copy(),
-        fiedler=state.fiedler[0].copy(),
+        lambda2_hat=state.belief["lambda2_hat"][world].copy(),
+        fiedler=state.fiedler[world].copy(),
         **{name: flags.copy() for name, flags in works.items()},
-        ranges=_range_points(state.range_row[0], poses),
+        ranges=_range_points(state.range_row[world], poses),
         waypoint=int(episode["waypoint"]),
         outcome=next(endings, ""),
     )

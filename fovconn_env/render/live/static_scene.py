@@ -16,14 +16,14 @@ _SUN = np.array([0.25, -0.75, 0.0])  # horizontal direction of the light
 class StaticScene:
     """Obstacles are cut above the team."""
 
-    def __init__(self, simulator: Simulator, now: Instant) -> None:
+    def __init__(self, simulator: Simulator, now: Instant, b: int = 0) -> None:
         world, start = simulator.world, now.poses[:, :3]
-        waypoints = world.waypoint[0, : world.n_waypoints[0]].copy()
+        waypoints = world.waypoint[b, : world.n_waypoints[b]].copy()
         leader = leader_of(simulator.scenario)
         self.levels = levels_of(simulator.scenario, np.concatenate([start[:, 2], waypoints[:, 2]]))
         self.course = waypoints if leader is None else np.concatenate([start[[leader]], waypoints])  # (W + 1, 3)
         self.n_waypoints = len(waypoints)
-        used = world.piece[0][world.piece[0]["count"] > 0]
-        self.blocks = blocks(used, world.vertex[0], self.levels.ground, self.levels.top)
+        used = world.piece[b][world.piece[b]["count"] > 0]
+        self.blocks = blocks(used, world.vertex[b], self.levels.ground, self.levels.top)
         self.light = 0.5 + 0.5 * self.blocks.normals @ _SUN  # (F,), 0 dark to 1 bright
         self.middles = self.blocks.walls.mean(axis=1)  # (F, 3)

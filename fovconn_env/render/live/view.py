@@ -28,7 +28,7 @@ LEAST = (320, 240)  # px, no page is smaller
 
 
 class View:
-    """Draws a simulator's first world. `settings`, `overlay` and `flown_robot` may be changed between pictures.
+    """Draws one world of a simulator. `settings`, `overlay` and `flown_robot` may be changed between pictures.
 
     settings: viewpoint and visible parts. overlay: lines of text in the upper left corner, under the title.
     flown_robot: the robot that the person in front of the picture flies.
@@ -41,8 +41,10 @@ class View:
         *,
         theme: str = "light",
         settings: ViewSettings | None = None,
+        world: int = 0,
     ) -> None:
-        self._scenario = scenario
+        """world: which of a batch."""
+        self._scenario, self._world = scenario, world
         self.settings = settings or ViewSettings()
         self.overlay: list[str] = []
         self.flown_robot: int | None = None
@@ -75,17 +77,17 @@ class View:
         return self._viewpoint.distance
 
     def draw(self, simulator: Simulator, *, lag: float = 0.0) -> pygame.Surface:
-        """The first world now, on a surface that the next call reuses.
+        """The world now, on a surface that the next call reuses.
 
         lag: share of a step, in [0, 1], by which the picture is behind the simulator. The robots are interpolated
         between the last two steps, for more pictures a second than steps.
         """
-        now = instant_of(simulator)
+        now = instant_of(simulator, self._world)
         if self._leader not in (None, now.leader):
             self._leader = self._viewpoint.leader = now.leader
             self.set_page(self.size)
         if now.key != self._scene_key:
-            self._scene, self._scene_key, self._alarm = StaticScene(simulator, now), now.key, Alarm()
+            self._scene, self._scene_key, self._alarm = StaticScene(simulator, now, self._world), now.key, Alarm()
         self._history.add(now)
         weak = self._alarm.update(now, self._history.weights(now.time - FALL_TIME))
         page = divide_page(self.size, self._type.line, above=self.settings.above and self.settings.camera != "top")

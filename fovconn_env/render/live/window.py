@@ -32,7 +32,7 @@ def open_window(title: str, size: tuple[int, int]) -> pygame.Window:
 class Window:
     """Shows a view at `fps` pictures a second. It may be resized; after it is closed the flight goes on without it."""
 
-    def __init__(self, title: str, fps: int, size: tuple[int, int] = (960, 600)) -> None:
+    def __init__(self, title: str, fps: float, size: tuple[int, int] = (960, 600)) -> None:
         """Raises `gymnasium.error.Error` where there is no display."""
         try:
             self._window: pygame.Window | None = open_window(title, size)
