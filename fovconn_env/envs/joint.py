@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Unpack
 
 import gymnasium
 import numpy as np
@@ -10,11 +11,14 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from fovconn_env import layout
-from fovconn_env.envs.viewer import FPS, RENDER_MODES, Viewer
+from fovconn_env.envs.options import read_options
+from fovconn_env.envs.viewer import RENDER_MODES, Viewer, render_metadata
 from fovconn_env.errors import SettingError, as_numbers
+from fovconn_env.scenarios.keywords import Settings, check_keywords
 from fovconn_env.scenarios.presets import scenario
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.graph import Graph
+from fovconn_env.sim.seeds import Seed, world_seeds
 from fovconn_env.sim.simulator import Simulator
 
 TEAM_KEYS = ("lambda2", "connected", "n_edges", "success", "collision", "disconnected")  # the same for every robot
@@ -27,30 +31,38 @@ def joint_spaces(simulator: Simulator) -> tuple[spaces.Box, spaces.Box]:
     return spaces.Box(low, high), spaces.Box(-1.0, 1.0, (n, len(layout.ACTION)))
 
 
-class JointEnv(gymnasium.Env):
+class JointEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """One world as a Gymnasium environment: observation (N, D) float32, action (N, 4), reward the robots' mean.
 
-    infos: the team's numbers as floats, the robots' as arrays (N,); keys are those of `layout.INFO`.
+    infos: the team's numbers as floats, the robots' as arrays (N,); keys are those of `layout.INFO`. The robots' own
+    rewards, (N,), are `simulator.rewards[0]`.
     """
 
-    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": FPS}
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}
 
     def __init__(
-        self, base: str | Scenario = "LeaderFollow-v0", *, render_mode: str | None = None, **settings: Any
+        self,
+        base: str | Scenario = "LeaderFollow-v0",
+        *,
+        render_mode: str | None = None,
+        **settings: Unpack[Settings],
     ) -> None:
+        check_keywords("JointEnv", settings, ("render_mode",))
         self._viewer = Viewer(render_mode)
         self.scenario = scenario(base, **settings)
+        self.metadata = render_metadata(self.scenario)
         self.render_mode = render_mode
         self.simulator = Simulator(self.scenario)
         self.observation_space, self.action_space = joint_spaces(self.simulator)
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self, *, seed: Seed = None, options: Mapping[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode; options: "poses", (N, 4), as in the PettingZoo environment."""
-        super().reset(seed=seed)
-        poses = (options or {}).get("poses")
-        self.simulator.reset(seed, poses=poses)
+        """Start an episode; options: "poses", (N, 4), as in the PettingZoo environment, and nothing else."""
+        poses = read_options(options, ("poses",)).get("poses")
+        [number] = world_seeds(seed, 1)
+        self.simulator.reset(number, poses=poses)
+        super().reset(seed=number)
         self._viewer.show(self.simulator)
         return self.simulator.observations[0].copy(), self._info()
 
@@ -83,6 +95,11 @@ class JointEnv(gymnasium.Env):
     def close(self) -> None:
         """Close the window of the render mode "human"."""
         self._viewer.close()
+
+    def __repr__(self) -> str:
+        return f"<JointEnv<{self.scenario.name}>>"
+
+    __str__ = __repr__  # Gymnasium's has the id, which may have other settings by now
 
     def _info(self) -> dict[str, Any]:
         rows = self.simulator.infos[0]

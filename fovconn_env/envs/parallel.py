@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal, TypeVar, Unpack, overload
 
 import gymnasium
 import numpy as np
@@ -15,30 +15,64 @@ from pettingzoo.utils import parallel_to_aec
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 
 from fovconn_env import layout
-from fovconn_env.envs.viewer import FPS, RENDER_MODES, Viewer
+from fovconn_env.envs.options import read_options
+from fovconn_env.envs.viewer import RENDER_MODES, Viewer, render_metadata
 from fovconn_env.errors import SettingError, as_numbers
+from fovconn_env.scenarios.keywords import Settings, check_keywords
 from fovconn_env.scenarios.presets import scenario
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.graph import Graph
+from fovconn_env.sim.seeds import Seed, world_seeds
 from fovconn_env.sim.simulator import Simulator
 
 PARTS = ("self", "neighbors", "ranges")
 INFO_KEYS = tuple(column.name for column in layout.INFO)
+Observation = TypeVar("Observation")
+Parts = dict[str, np.ndarray]
 
 
-class ParallelEnv(pettingzoo.ParallelEnv):
-    """The environment of one `Scenario` as a PettingZoo parallel environment.
+class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
+    """The environment of a scenario, its id or a `Scenario` with settings to change, for PettingZoo: all robots act.
 
     Observations are a `Dict` of 1-D float32 Boxes "self", "neighbors", "ranges", or with `flat=True` one Box of the
     same numbers in the same order; actions are `Box(-1, 1, (4,))`. Columns, units and frames: `fovconn_env.layout`.
+    Raises `SettingError` for wrong settings, which for an unknown keyword is also a `TypeError`.
     """
 
-    metadata: dict[str, Any] = {
-        "name": "fovconn_v0",
-        "render_modes": list(RENDER_MODES),
-        "render_fps": FPS,
-        "is_parallelizable": True,
-    }
+    metadata: dict[str, Any] = {"name": "fovconn_v0", "render_modes": list(RENDER_MODES), "is_parallelizable": True}
+
+    @overload
+    def __init__(
+        self: ParallelEnv[Parts],
+        base: str | Scenario = ...,
+        /,
+        *,
+        render_mode: str | None = ...,
+        flat: Literal[False] = ...,
+        **settings: Unpack[Settings],
+    ) -> None: ...
+
+    @overload
+    def __init__(
+        self: ParallelEnv[np.ndarray],
+        base: str | Scenario = ...,
+        /,
+        *,
+        render_mode: str | None = ...,
+        flat: Literal[True],
+        **settings: Unpack[Settings],
+    ) -> None: ...
+
+    @overload
+    def __init__(
+        self: ParallelEnv[Any],
+        base: str | Scenario = ...,
+        /,
+        *,
+        render_mode: str | None = ...,
+        flat: bool,
+        **settings: Unpack[Settings],
+    ) -> None: ...
 
     def __init__(
         self,
@@ -49,9 +83,12 @@ class ParallelEnv(pettingzoo.ParallelEnv):
         flat: bool = False,
         **settings: Any,
     ) -> None:
+        check_keywords("parallel_env", settings, ("render_mode", "flat"))
         self._viewer = Viewer(render_mode)
         self.scenario = scenario(base, **settings)
+        self.metadata = ParallelEnv.metadata | render_metadata(self.scenario)
         self.render_mode = render_mode
+        self.np_random = np.random.default_rng()  # for wrappers that draw; the worlds have generators of their own
         self.flat = flat
         self.simulator = Simulator(self.scenario)
         self.possible_agents = self.scenario.agents
@@ -68,9 +105,7 @@ class ParallelEnv(pettingzoo.ParallelEnv):
 
     @max_cycles.setter
     def max_cycles(self, value: int) -> None:
-        if value < 1 or value != int(value):
-            raise SettingError(f"max_cycles must be a whole number, at least 1, got {value}: it counts steps")
-        self.simulator.max_cycles = int(value)
+        self.simulator.max_cycles = value
 
     def observation_space(self, agent: str) -> spaces.Space:
         """The observation space of an agent, always the same object."""
@@ -80,25 +115,36 @@ class ParallelEnv(pettingzoo.ParallelEnv):
         """The action space of an agent, always the same object."""
         return self.action_spaces[agent]
 
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict, dict]:
+    def reset(
+        self, seed: Seed = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[dict[str, Observation], dict[str, dict[str, float]]]:
         """Start an episode: observations and infos by agent.
 
-        options: "poses", (N, 4) x, y, z, yaw (m, rad, world frame), places the robots; other keys are ignored.
-        Raises `ValueError` for poses of a wrong shape or that collide; the episode under way is then untouched.
+        options: "poses", (N, 4) x, y, z, yaw (m, rad, world frame), places the robots; a key that is like none of ours
+        is a `UserWarning`, as PettingZoo allows it. Raises `ValueError` for a key that looks like a slip, and for
+        poses of a wrong shape or that collide; the episode under way is then untouched.
         """
-        poses = (options or {}).get("poses")
-        self.simulator.reset(seed, poses=poses)
+        poses = read_options(options, ("poses",), tolerant=True).get("poses")
+        [number] = world_seeds(seed, 1)
+        self.simulator.reset(number, poses=poses)
+        if number is not None:
+            self.np_random = np.random.default_rng(number)
         self.agents = list(self.possible_agents)
         self._viewer.show(self.simulator)
         return self._observations(), self._infos()
 
-    def step(self, actions: dict[str, np.ndarray]) -> tuple[dict, dict, dict, dict, dict]:
+    def step(
+        self, actions: Mapping[str, npt.ArrayLike]
+    ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, float]]]:
         """Apply one action an agent: observations, rewards, terminations, truncations and infos by agent.
 
         Raises `ValueError`, naming the agent, for a missing or unknown agent, a wrong shape or NaN; then nothing
-        moves. Actions out of range are clipped. Raises `gymnasium.error.ResetNeeded` before reset and after the end.
+        moves. Actions out of range are clipped. Raises `gymnasium.error.ResetNeeded` before reset and after the end;
+        after the end an empty dict, of no agent's actions, gives empty dicts, as PettingZoo wants it.
         """
         if not self.agents:
+            if isinstance(actions, Mapping) and not actions and self.simulator.state.episode["n_rounds"][0]:
+                return {}, {}, {}, {}, {}
             raise gymnasium.error.ResetNeeded("step() needs an episode under way: call reset() first")
         self.simulator.step(self._stack_actions(actions)[None])
         agents, episode = self.agents, self.simulator.state.episode[0]
@@ -145,7 +191,12 @@ class ParallelEnv(pettingzoo.ParallelEnv):
         """Close the window of the render mode "human"."""
         self._viewer.close()
 
-    def _stack_actions(self, actions: dict[str, np.ndarray]) -> np.ndarray:
+    def __repr__(self) -> str:
+        return f"{self.metadata['name']}({self.scenario.name}, n_agents={self.scenario.n_agents})"
+
+    __str__ = __repr__  # PettingZoo's is the name alone
+
+    def _stack_actions(self, actions: Mapping[str, npt.ArrayLike]) -> np.ndarray:
         """Actions by agent as an array (N, 4) float64, checked."""
         if not isinstance(actions, Mapping):
             kind = type(actions).__name__
@@ -194,19 +245,30 @@ class ParallelEnv(pettingzoo.ParallelEnv):
         return spaces.Dict(OrderedDict(zip(PARTS, boxes, strict=True)))  # a plain dict would be sorted
 
 
-def parallel_env(base: str | Scenario = "LeaderFollow-v0", /, **settings: Any) -> ParallelEnv:
-    """A PettingZoo parallel environment of a scenario: its id or a `Scenario`, and settings to change.
-
-    Also takes `render_mode` and `flat`. See `Scenario` for the settings and `ParallelEnv` for spaces and errors.
-    """
-    return ParallelEnv(base, **settings)
+parallel_env = ParallelEnv
 
 
-def env(base: str | Scenario = "LeaderFollow-v0", /, **settings: Any) -> pettingzoo.AECEnv:
-    """The same environment as a PettingZoo AEC environment, robots taking turns within a step."""
-    return parallel_to_aec(parallel_env(base, **settings))
+def env(
+    base: str | Scenario = "LeaderFollow-v0",
+    /,
+    *,
+    render_mode: str | None = None,
+    flat: bool = False,
+    **settings: Unpack[Settings],
+) -> pettingzoo.AECEnv[str, Any, np.ndarray | None]:
+    """`parallel_env` as a PettingZoo AEC environment, robots taking turns within a step."""
+    parallel: Any = ParallelEnv(base, render_mode=render_mode, flat=flat, **settings)
+    return parallel_to_aec(parallel)
 
 
-def raw_env(base: str | Scenario = "LeaderFollow-v0", /, **settings: Any) -> pettingzoo.AECEnv:
+def raw_env(
+    base: str | Scenario = "LeaderFollow-v0",
+    /,
+    *,
+    render_mode: str | None = None,
+    flat: bool = False,
+    **settings: Unpack[Settings],
+) -> pettingzoo.AECEnv[str, Any, np.ndarray | None]:
     """`env` without the wrapper that enforces the order of calls."""
-    return parallel_to_aec_wrapper(parallel_env(base, **settings))
+    parallel: Any = ParallelEnv(base, render_mode=render_mode, flat=flat, **settings)
+    return parallel_to_aec_wrapper(parallel)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Unpack
 
 import gymnasium
 import numpy as np
@@ -12,18 +14,27 @@ from gymnasium.vector.utils import batch_space
 
 from fovconn_env import layout
 from fovconn_env.envs.joint import TEAM_KEYS, joint_spaces
-from fovconn_env.errors import SettingError, check_count
+from fovconn_env.envs.options import read_options
+from fovconn_env.envs.viewer import Viewer, render_metadata
+from fovconn_env.envs.world import set_shared, worlds_of
+from fovconn_env.errors import SettingError, check_count, rule
+from fovconn_env.scenarios.keywords import Settings, check_keywords
 from fovconn_env.scenarios.presets import scenario
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.graph import Graph
+from fovconn_env.sim.seeds import Seed, world_seeds
 from fovconn_env.sim.simulator import Simulator
 
+OWN = "num_envs autoreset_mode render_mode robot_rewards max_episode_steps n_threads".split()
 
-class VectorEnv(gymnasium.vector.VectorEnv):
-    """`num_envs` worlds: observations (B, N, D) float32, actions (B, N, 4), rewards (B,), the robots' means.
 
-    autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED, as `AutoresetMode` or its name or value. World b reset with
-    seed s is the single world of seed s + b. infos: arrays (B,) of the team's numbers and (B, N) of the robots'.
+class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+    """`num_envs` worlds: observations (B, N, D) float32, actions (B, N, 4), rewards (B,), the means of the robots'.
+
+    autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED, as `AutoresetMode` or its name or value. robot_rewards: rewards
+    are (B, N), each robot's own; Gymnasium's wrappers of rewards expect (B,). max_episode_steps truncates episodes, as
+    in `gymnasium.make`, if that is before the scenario's `max_cycles`. World b reset with seed s is the single world of
+    seed s + b. infos: arrays (B,) of the team's numbers and (B, N) of the robots'.
     """
 
     def __init__(
@@ -33,33 +44,47 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         num_envs: int = 1,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
+        robot_rewards: bool = False,
+        max_episode_steps: int | None = None,
+        disable_env_checker: bool | None = None,  # `gymnasium.make` takes it; a batch has no checker
         n_threads: int | None = None,
-        **settings: Any,
+        **settings: Unpack[Settings],
     ) -> None:
+        check_keywords("VectorEnv", settings, OWN)
         self.autoreset_mode = _parse_mode(autoreset_mode)
-        self.metadata = {"autoreset_mode": self.autoreset_mode, "render_modes": [], "render_fps": 20}
-        if render_mode is not None:
-            raise SettingError(f"render_mode must be None for a batch, got {render_mode!r}: render one world instead")
-        self.render_mode = None
+        self._viewer = Viewer(render_mode)
+        self.render_mode = render_mode
         check_count("num_envs", num_envs, "a batch holds worlds")
         self.scenario = scenario(base, **settings)
+        if max_episode_steps is not None:
+            check_count("max_episode_steps", max_episode_steps, "it counts steps")
+            steps = min(max_episode_steps, self.scenario.max_cycles)
+            self.scenario = dataclasses.replace(self.scenario, max_cycles=steps)
+        self.metadata = {"autoreset_mode": self.autoreset_mode, **render_metadata(self.scenario)}
         self.num_envs = num_envs
+        self.robot_rewards = robot_rewards
         self.simulator = Simulator(self.scenario, num_envs, n_threads=n_threads)
         self.single_observation_space, self.single_action_space = joint_spaces(self.simulator)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
+        single = self.single_observation_space, self.single_action_space
+        self._worlds = worlds_of(self.simulator, self._viewer, *single)
 
     def reset(
-        self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
+        self, *, seed: Seed = None, options: Mapping[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start all worlds, or those in options["reset_mask"], (B,) bool; options: "poses", (N, 4), for each."""
-        options = options or {}
+        """Start all worlds, or those in options["reset_mask"], (B,) bool; options: "poses", (N, 4) or (B, N, 4)."""
+        self._check_open()
+        options = read_options(options, ("poses", "reset_mask"))
         mask, poses = options.get("reset_mask"), options.get("poses")
         if mask is not None:
             mask = np.asarray(mask)
             if mask.dtype != bool or not mask.any():
                 raise SettingError(f"options['reset_mask'] must be bool with one True at least, got {mask!r}: (B,)")
-        self.simulator.reset(seed, mask=mask, poses=poses)
+        seeds = world_seeds(seed, self.num_envs)
+        self.simulator.reset(seeds, mask=mask, poses=poses)
+        super().reset(seed=seeds[0])
+        self._viewer.show(self.simulator)
         return self.simulator.observations.copy(), self._infos()
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
@@ -69,6 +94,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         observation and infos are in infos["final_obs"] and ["final_info"]. DISABLED: the caller resets it; a step
         before that is a `ValueError`. A wrong shape or NaN is one as well; then no world is stepped.
         """
+        self._check_open()
         simulator, over = self.simulator, self.simulator.over.copy()
         if over.any() and self.autoreset_mode == AutoresetMode.DISABLED:
             raise SettingError(
@@ -83,7 +109,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
             simulator.reset(mask=over)
             simulator.rewards[over] = 0.0
             observations[over] = simulator.observations[over]
-        rewards = simulator.rewards.mean(axis=1)
+        rewards = simulator.rewards.copy() if self.robot_rewards else simulator.rewards.mean(axis=1)
         terminations, truncations = simulator.terminated.copy(), simulator.truncated.copy()
         infos: dict[str, Any] = {}
         ended = terminations | truncations
@@ -93,6 +119,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
             simulator.reset(mask=ended)
             observations[ended] = simulator.observations[ended]
         infos |= self._infos()
+        self._viewer.show(simulator)
         return observations, rewards, terminations, truncations, infos
 
     def push(self, sticks: npt.ArrayLike) -> None:
@@ -102,6 +129,37 @@ class VectorEnv(gymnasium.vector.VectorEnv):
     def graph(self, b: int | None = None) -> Graph:
         """The observations of world b as a graph, or of all worlds side by side: robot i of world b is node b N + i."""
         return self.simulator.graph(b)
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """A `World`'s attribute, or the answer of its method, for each world; as `SyncVectorEnv`."""
+        found = [getattr(world, name) for world in self._worlds]
+        return tuple(one(*args, **kwargs) if callable(one) else one for one in found)
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """The same without arguments."""
+        return self.call(name)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Set "max_cycles" (from the next reset on) or "leader" of all worlds; values: one, or a list of equal ones."""
+        each = values if isinstance(values, (list, tuple)) else [values] * self.num_envs
+        rule(len(each) == self.num_envs, "values", f"one, or {self.num_envs} of them", len(each), "one a world")
+        set_shared(self._worlds, name, each)
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """A picture of each world, (480, 640, 3) uint8; None in the mode "human", which shows the first world."""
+        return self._viewer.draw_all(self.simulator)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """End the threads and close the window; called once by `close`."""
+        self._viewer.close()
+        self.simulator.close()
+
+    def __repr__(self) -> str:
+        return f"VectorEnv({self.scenario.name}, num_envs={self.num_envs})"
+
+    def _check_open(self) -> None:
+        if self.closed:
+            raise gymnasium.error.ClosedEnvironmentError(f"{self} is closed: make another one")
 
     def _infos(self) -> dict[str, np.ndarray]:
         rows = self.simulator.infos

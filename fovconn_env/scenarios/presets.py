@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from fovconn_env.errors import SettingError, SettingTypeError, closest, rule, un
 from fovconn_env.maps.corridor import Corridor
 from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map
+from fovconn_env.scenarios.keywords import ScenarioSettings
 from fovconn_env.scenarios.leader import Recorded
 from fovconn_env.scenarios.scenario import GROUPS, Scenario, check_group
 from fovconn_env.scenarios.settings import (
@@ -115,7 +116,9 @@ LEVELS: dict[str, tuple[dict[str, Any], ...]] = {
 }
 
 
-def scenario(base: str | Scenario = "LeaderFollow-v0", /, *, level: int = 1, **changes: Any) -> Scenario:
+def scenario(
+    base: str | Scenario = "LeaderFollow-v0", /, *, level: int = 1, **settings: Unpack[ScenarioSettings]
+) -> Scenario:
     """A preset by id (with or without "fovconn/"), at a level of `LEVELS`, or a `Scenario`, with settings changed.
 
     One setting of a group goes by its dotted name: `scenario("LeaderFollow-v0", **{"camera.a_min": 0.5})`; a map and a
@@ -123,6 +126,7 @@ def scenario(base: str | Scenario = "LeaderFollow-v0", /, *, level: int = 1, **c
     Raises `SettingError` for an unknown id, setting or level, naming the nearest ones there are; for a setting it is a
     `TypeError`, too.
     """
+    changes: dict[str, Any] = dict(settings)
     if isinstance(base, str):
         name = base.removeprefix("fovconn/")
         if name not in PRESETS:

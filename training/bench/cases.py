@@ -207,10 +207,17 @@ def _density(chosen: Scenario, n_worlds: int) -> Case:
 def at_one_density(chosen: Scenario, n_agents: int, dynamics: str) -> Scenario:
     """`n_agents` robots in an endless episode, at the density of six robots in 8 m x 8 m x 3 m."""
     endless: dict[str, Any] = {"patience": math.inf, "max_cycles": 10**9, "course.goal_lambda2": 1e9}
-    start = {"box": (8.0, 8.0, 3.0), "spacing": 0.6, "lambda2_low": 0.0, "lambda2_high": math.inf}
-    team = {"n_agents": n_agents, "leader": "none", "leader_index": 0, "collision_robot": 0.01, "map": None}
+    start: dict[str, Any] = {"box": (8.0, 8.0, 3.0), "spacing": 0.6, "lambda2_low": 0.0, "lambda2_high": math.inf}
+    team: dict[str, Any] = {
+        "dynamics": dynamics,
+        "n_agents": n_agents,
+        "leader": "none",
+        "leader_index": 0,
+        "collision_robot": 0.01,
+        "map": None,
+    }
     starts = {f"start.{name}": value for name, value in start.items()}
-    return scenario(chosen, dynamics=dynamics, **endless, **team, **starts)
+    return scenario(chosen, **endless, **team, **starts)
 
 
 def _expert(chosen: Scenario, n_worlds: int) -> Case:

@@ -23,7 +23,8 @@ def preview(
     from fovconn_env.render.figures.plan import draw_plan
     from fovconn_env.render.figures.style import save
 
-    chosen = scenario(base or "LeaderFollow-v0", **{**changes, "map": file, "warmup": 0.0})
+    settings: dict[str, Any] = {**changes, "map": file, "warmup": 0.0}
+    chosen = scenario(base or "LeaderFollow-v0", **settings)
     assert isinstance(chosen.map, Map)
     starts, problem = _starts(chosen, seeds) if base is not None else ([], "")
     folder.mkdir(parents=True, exist_ok=True)
