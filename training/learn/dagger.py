@@ -102,8 +102,8 @@ class Dagger(Algorithm):
 
     def redraw(self, rng: np.random.Generator, ended: np.ndarray, beta: float) -> None:
         """Draw law or network for the worlds with a new episode; all robots of a world have the same pilot."""
-        for rows, env in zip(self.rows.slices, self.rows.parts, strict=True):
-            n = env.scenario.n_agents
+        for rows, scenario in zip(self.rows.slices, self.rows.scenarios, strict=True):
+            n = scenario.n_agents
             new = ended[rows].reshape(-1, n)[:, 0]
             if new.any():
                 drawn = rng.random(int(new.sum())) < beta

@@ -50,7 +50,7 @@ def make_model(rows: Rows, network: Network, seed: int, **settings: Any) -> PPO:
     collected = ours["n_steps"] * rows.num_envs
     even = math.gcd(ours["batch_size"], collected)  # SB3 warns of batches that do not come out even
     ours["batch_size"] = even if even > 1 else collected
-    arguments: dict[str, Any] = {"max_neighbors": rows.parts[0].scenario.max_neighbors, "extra": rows.extra}
+    arguments: dict[str, Any] = {"max_neighbors": rows.scenarios[0].max_neighbors, "extra": rows.extra}
     if network.kind == "set":
         arguments |= {"width": network.width, "spots": network.spots}
     policy = {

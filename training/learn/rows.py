@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import itertools
 import json
+import operator
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from stable_baselines3.common.vec_env import VecEnv
 
 from fovconn_env import Scenario, Simulator
 from fovconn_env.baselines.laws.safety import Filter
 from fovconn_env.baselines.learned.cards import BASES
 from fovconn_env.baselines.learned.inputs import ACTION, gain
 from fovconn_env.baselines.learned.policy import correct_actions
-from fovconn_env.errors import check_count, rule
+from fovconn_env.errors import rule
 from fovconn_env.flights.state_hash import frozen_dtypes
 from fovconn_env.training.learn.checkpoints import below, check_like, check_state, check_world, generators
 from fovconn_env.training.sb3 import EPISODE_KEYS, RobotsVecEnv
@@ -25,7 +24,7 @@ FIRST_SEED = 50_000  # of training; seeds below choose checkpoints and evaluate
 SEEDS_APART = 4096  # between the first worlds of two training seeds
 
 
-class Rows(VecEnv):
+class Rows(RobotsVecEnv):
     """Robots of B worlds, shared out among scenarios, as the rows of one SB3 `VecEnv`; one policy flies all of them.
 
     Actions are in units of `inputs.gain`: the same number is the same velocity in every scenario. With a base law, its
@@ -45,45 +44,37 @@ class Rows(VecEnv):
         reward: float = 1.0,
         n_threads: int | None = None,
     ) -> None:
-        check_count("n_worlds", n_worlds, "a batch holds worlds")
-        hint = "each scenario needs a world"
-        rule(n_worlds >= len(scenarios), "n_worlds", f"at least {len(scenarios)}", n_worlds, hint)
-        sizes = {scenario.observation_size: scenario.name for scenario in scenarios}
-        hint = f"one network for {', '.join(sizes.values())} needs one max_neighbors and max_ranges"
-        rule(len(sizes) == 1, "observation_size", "the same in all scenarios", list(sizes), hint)
         rule(base is None or base in BASES, "base", f"one of {', '.join(BASES)}", base, "a law without a memory")
-        counts = [n_worlds // len(scenarios) + (k < n_worlds % len(scenarios)) for k in range(len(scenarios))]
-        self.parts = [RobotsVecEnv(s, n, n_threads=n_threads) for s, n in zip(scenarios, counts, strict=True)]
-        edges = np.cumsum([0, *(part.num_envs for part in self.parts)]).tolist()
-        self.slices = [slice(*edge) for edge in itertools.pairwise(edges)]
+        super().__init__(scenarios, n_worlds, n_threads=n_threads)
         self.gains = [gain(scenario) for scenario in scenarios]
         self.reward, self.bound, self.extra = reward, bound, ACTION if base else 0
         self._bases = [BASES[base](scenario) for scenario in scenarios] if base else []
         self._filters = [Filter(scenario) for scenario in scenarios] if filtered else []
         self.ended: list[dict[str, float]] = []
-        self.render_mode = None
         self._seed = 0
-        self._actions = np.zeros((edges[-1], ACTION), np.float32)
-        self.observations = np.zeros((edges[-1], sizes.popitem()[0] + self.extra), np.float32)  # the last ones
-        self._return, self._length = np.zeros(edges[-1]), np.zeros(edges[-1], np.int64)
-        low, high = (np.concatenate([getattr(self.parts[0].observation_space, name), np.full(self.extra, edge)])
-                     for name, edge in (("low", -8.0), ("high", 8.0)))  # fmt: skip
+        n_rows, seen = self.num_envs, self.observation_space
+        assert isinstance(seen, spaces.Box)
+        self._outputs = np.zeros((n_rows, ACTION), np.float32)
+        low, high = (
+            np.append(bound, np.full(self.extra, edge)) for bound, edge in ((seen.low, -8.0), (seen.high, 8.0))
+        )
+        self.observation_space = spaces.Box(low.astype(np.float32), high.astype(np.float32))
         reach = 1.0 if base else max(float((1.0 / unit).max()) for unit in self.gains)
-        space = spaces.Box(low.astype(np.float32), high.astype(np.float32))
-        super().__init__(edges[-1], space, spaces.Box(-reach, reach, (ACTION,)))
+        self.action_space = spaces.Box(-reach, reach, (ACTION,))
+        self.observations = np.zeros((n_rows, len(low)), np.float32)  # the last ones
+        self._return, self._length = np.zeros(n_rows), np.zeros(n_rows, np.int64)
 
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Training seed of the next reset: no two of them, and no evaluation, share a world."""
-        self._seed = seed or 0
-        return [seed] * self.num_envs
+    def seed(self, seed: Any = None) -> Sequence[int | None]:
+        """Training seed of the resets that follow: no two of them, and no evaluation, share a world."""
+        self._seed = 0 if seed is None else operator.index(seed)
+        return super().seed(FIRST_SEED + SEEDS_APART * self._seed)
 
     def reset(self) -> np.ndarray:
         """Start all worlds and return the observations (R, D + extra)."""
-        first = FIRST_SEED + SEEDS_APART * self._seed
-        for part, here in zip(self.parts, self.slices, strict=True):
-            part.seed(first)
-            first += part.simulator.n_worlds
-            self.observations[here] = self._extended(part.reset(), here)
+        self.seed(self._seed)
+        flat = super().reset()
+        for rows in self.slices:
+            self.observations[rows] = self._extended(flat[rows], rows)
         self._return[:], self._length[:] = 0.0, 0
         self.ended.clear()
         return self.observations.copy()
@@ -95,22 +86,19 @@ class Rows(VecEnv):
 
     def step_async(self, actions: np.ndarray) -> None:
         """Store the actions (R, 4), in a network's units, for `step_wait`."""
-        self._actions = np.asarray(actions, np.float32)
+        self._outputs = np.asarray(actions, np.float32)
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """Step; observations, rewards, dones and infos of all rows. Raises `ValueError` for NaN."""
-        rewards, dones = np.zeros(self.num_envs, np.float32), np.zeros(self.num_envs, bool)
-        infos: list[dict[str, Any]] = []
-        for k, (part, here) in enumerate(zip(self.parts, self.slices, strict=True)):
-            part.step_async(self._flown(k))
-            flat, rewards[here], dones[here], part_infos = part.step_wait()
-            self.observations[here] = self._extended(flat, here)
-            ended = np.flatnonzero(dones[here])
+        super().step_async(np.concatenate([self._flown(k) for k in range(len(self.teams))]))
+        flat, rewards, dones, infos = super().step_wait()
+        for rows in self.slices:
+            self.observations[rows] = self._extended(flat[rows], rows)
+            ended = rows.start + np.flatnonzero(dones[rows])
             if len(ended):
-                last = self._extended(np.stack([part_infos[row]["terminal_observation"] for row in ended]), here)
+                last = self._extended(np.stack([infos[row]["terminal_observation"] for row in ended]), rows)
                 for row, observation in zip(ended.tolist(), last, strict=True):
-                    part_infos[row]["terminal_observation"] = observation
-            infos += part_infos
+                    infos[row]["terminal_observation"] = observation
         self._return += rewards
         self._length += 1
         for row in np.flatnonzero(dones).tolist():
@@ -131,9 +119,9 @@ class Rows(VecEnv):
     def pack(self) -> dict[str, np.ndarray]:
         """The state from which `unpack` continues with the same bits."""
         arrays = {"observations": self.observations, "return": self._return, "length": self._length}
-        for k, part in enumerate(self.parts):
-            arrays |= {f"{k}/split": part._split, f"{k}/seed": np.array(self._seed)}
-            arrays |= {f"{k}/{name}": array for name, array in pack_simulator(part.simulator).items()}
+        for k, team in enumerate(self.teams):
+            arrays |= {f"{k}/split": self._split[team.worlds], f"{k}/seed": np.array(self._seed)}
+            arrays |= {f"{k}/{name}": array for name, array in pack_simulator(team.simulator).items()}
         return arrays
 
     def unpack(self, arrays: Mapping[str, np.ndarray]) -> None:
@@ -141,11 +129,11 @@ class Rows(VecEnv):
         for name, mine in (("observations", self.observations), ("return", self._return), ("length", self._length)):
             check_like(f"rows/{name}", arrays.get(name), mine)
             mine[:] = arrays[name]
-        for k, each in enumerate(self.parts):
-            own = below(arrays, f"{k}")
-            check_like(f"rows/{k}/split", own.get("split"), each._split)
-            each._split[:] = own["split"]
-            unpack_simulator(each.simulator, own)
+        for k, team in enumerate(self.teams):
+            own, split = below(arrays, f"{k}"), self._split[team.worlds]
+            check_like(f"rows/{k}/split", own.get("split"), split)
+            split[:] = own["split"]
+            unpack_simulator(team.simulator, own)
         self.ended.clear()
 
     def _extended(self, flat: np.ndarray, here: slice) -> np.ndarray:
@@ -156,33 +144,13 @@ class Rows(VecEnv):
 
     def _flown(self, k: int) -> np.ndarray:
         """Shares that the robots of scenario k fly."""
-        outputs, unit = self._actions[self.slices[k]], self.gains[k]
+        outputs, unit = self._outputs[self.slices[k]], self.gains[k]
         if self._bases:
             base = self.observations[self.slices[k], -ACTION:] * unit
             actions = correct_actions(self.observations[self.slices[k]], base, outputs, unit, self.bound)
         else:
             actions = np.clip(outputs * unit, -1.0, 1.0)
         return self._filters[k](self.flat(k), actions) if self._filters else actions
-
-    def close(self) -> None:
-        """Nothing to release."""
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """The attribute of this object, once a row."""
-        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute for all rows."""
-        setattr(self, attr_name, value)
-
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Call a method of this object once and return its answer for each row."""
-        answer = getattr(self, method_name)(*args, **kwargs)
-        return [answer for _ in self._get_indices(indices)]
-
-    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """Rows are never wrapped one by one."""
-        return [False for _ in self._get_indices(indices)]
 
 
 def pack_simulator(simulator: Simulator) -> dict[str, np.ndarray]:
