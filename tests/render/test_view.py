@@ -412,7 +412,7 @@ def test_windows():
     assert colors_in(windows[0]._window.get_surface()).std() > 8
     windows[0]._window.size = (700, 500)
     envs[0].step(still)
-    assert envs[0].unwrapped._viewer._view.size == tuple(windows[0]._window.size)
+    assert envs[0].unwrapped._viewer._views[0].size == tuple(windows[0]._window.size)
     pygame.event.post(pygame.event.Event(pygame.WINDOWCLOSE, window=windows[0]._window))
     for env in envs:
         env.step(still)
