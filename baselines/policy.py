@@ -147,7 +147,14 @@ class Policy(metaclass=PolicyType):
             agents = self.scenario.agents
             rule(agent in agents, "agent", "a robot of the scenario", agent, closest(agent, agents))
             shared: dict[int, Any] = {id(self.scenario): self.scenario, id(self._robots): {}}
-            self._robots[agent] = copy.deepcopy(self, shared)
+            try:
+                self._robots[agent] = copy.deepcopy(self, shared)
+            except Exception as problem:  # an open file, a lock, a session of another library
+                hint = "implement __deepcopy__, or pass the observations of the whole team as a stack"
+                got = f"{type(problem).__name__}: {problem}"
+                raise SettingError(
+                    f"{type(self).__name__} must be copied for each robot, got {got}: {hint}"
+                ) from problem
         return self._robots[agent]
 
     def _check_rows(self, flat: np.ndarray) -> None:

@@ -36,7 +36,7 @@ def beside(folder: Path, top: str) -> Path | None:
 
     Another is found by Python itself only where the folder has nothing but a plain folder of that name.
     """
-    place = _module_file(folder / top)
+    place = module_file(folder / top)
     if top == _ROOM or place is None:
         return None
     spec = _spec(top)
@@ -46,14 +46,7 @@ def beside(folder: Path, top: str) -> Path | None:
     return None if same or place.is_dir() else place
 
 
-def find_beside(folder: Path, name: str) -> Path | None:
-    """The file of a dotted name in a folder, None if there is none, or if Python itself finds the same."""
-    if not all(part.isidentifier() for part in name.split(".")) or beside(folder, name.partition(".")[0]) is None:
-        return None
-    return _module_file(folder.joinpath(*name.split(".")))
-
-
-def _module_file(place: Path) -> Path | None:
+def module_file(place: Path) -> Path | None:
     """The file of the module at a place without its ending; the folder itself where it is a plain one."""
     for file in (place / "__init__.py", place.with_name(f"{place.name}.py")):
         if file.is_file():
@@ -106,7 +99,7 @@ def _resolve(name: tuple[int, str], file: Path, folder: Path | None) -> Iterator
         root = Path(spec.origin or next(iter(spec.submodule_search_locations or ()))).parent
         root = root.parent if spec.submodule_search_locations and spec.origin else root
     places = [root.joinpath(*parts[:end]) for end in range(1, len(parts) + 1)]
-    for found in (root / "__init__.py" if level else None, *map(_module_file, places)):
+    for found in (root / "__init__.py" if level else None, *map(module_file, places)):
         if found is not None and found.is_file() and not _is_installed(found.resolve()):
             yield found.resolve(), folder
 

@@ -19,7 +19,7 @@ from types import CodeType, ModuleType
 from typing import Any
 from urllib.parse import quote, unquote
 
-from fovconn_env.baselines.sources import beside, find_beside, source_files, stamp
+from fovconn_env.baselines.sources import beside, module_file, source_files, stamp
 
 PREFIX = __name__ + "."
 _loaded: dict[str, dict[Path, tuple[int, ...]]] = {}  # of a module: the stamps of its files when it was run
@@ -36,8 +36,13 @@ def load_file(file: Path) -> ModuleType:
 
 def load_module(name: str, folder: Path) -> ModuleType:
     """The module of a dotted name: of the folder if it is there, else one that is installed."""
-    file = find_beside(folder.resolve(), name)
-    return _load(f"{package(folder.resolve())}.{name}", file) if file else importlib.import_module(name)
+    folder = folder.resolve()
+    if not all(part.isidentifier() for part in name.split(".")) or beside(folder, name.partition(".")[0]) is None:
+        return importlib.import_module(name)
+    file = module_file(folder.joinpath(*name.split(".")))
+    if file is None or file.is_dir():
+        raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+    return _load(f"{package(folder)}.{name}", file)
 
 
 def files_of(name: str) -> list[Path]:
@@ -67,12 +72,17 @@ def _load(name: str, file: Path) -> ModuleType:
 
 
 def _quote(text: str) -> str:
-    return quote(text, safe="").replace(".", "%2E")  # a dot would part the name of a module
+    quoted = quote(text, safe="", errors="surrogateescape")  # paths need not be UTF-8
+    return quoted.replace(".", "%2E")  # a dot would part the name of a module
+
+
+def _unquote(text: str) -> str:
+    return unquote(text, errors="surrogateescape")
 
 
 def _folder(name: str) -> Path | None:
     """The folder of a module's package; None for a module of Python's own."""
-    return Path(unquote(name.removeprefix(PREFIX).partition(".")[0])) if name.startswith(PREFIX) else None
+    return Path(_unquote(name.removeprefix(PREFIX).partition(".")[0])) if name.startswith(PREFIX) else None
 
 
 class _Finder(MetaPathFinder):
@@ -82,7 +92,7 @@ class _Finder(MetaPathFinder):
         if not fullname.startswith(PREFIX):
             return None
         folder, *below = fullname.removeprefix(PREFIX).split(".")
-        place = Path(unquote(folder), *map(unquote, below))
+        place = Path(_unquote(folder), *map(_unquote, below))
         file = place.with_name(f"{place.name}.py")
         if (place / "__init__.py").is_file() and below:
             file, search = place / "__init__.py", [str(place)]

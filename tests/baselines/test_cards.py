@@ -1,5 +1,6 @@
 """Files of strangers: cards and weights that are wrong in any way are refused by name, or fly finite actions."""
 
+import copy
 import hashlib
 import json
 import struct
@@ -172,7 +173,7 @@ def wrong_card(file, rng):
     card = json.loads(place.read_text())
     for _ in range(rng.integers(1, 4)):
         part = card["columns"] if rng.random() < 0.2 and isinstance(card.get("columns"), dict) else card
-        key, value = rng.choice([*part, "new"]) if part else "new", JUNK[rng.integers(len(JUNK))]
+        key, value = rng.choice([*part, "new"]) if part else "new", copy.deepcopy(JUNK[rng.integers(len(JUNK))])
         if rng.random() < 0.2:
             part.pop(str(key), None)
         elif isinstance(part.get(key), list) and part[key] and rng.random() < 0.5:
@@ -231,7 +232,7 @@ MUTATIONS = [wrong_card, wrong_card, wrong_card, wrong_text, wrong_header, wrong
 
 
 @pytest.mark.fuzz
-def test_no_file_of_a_stranger_breaks_anything(tmp_path, monkeypatch):
+def test_no_file_of_a_stranger_breaks_anything(tmp_path):
     """Each is refused in one line that names the file, or flies finite actions; both happen."""
     flown = refused = 0
     files = [made(tmp_path, "set"), made(tmp_path, "both", base="cohesive", bound=0.3), made(tmp_path, "mlp", "mlp")]

@@ -3,6 +3,7 @@
 import copy
 import multiprocessing
 import pickle
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -252,6 +253,17 @@ def test_a_memory_that_is_not_declared_is_noticed():
         policy = kind(chosen)
         first, second = policy.act(row, agent="uav_0"), policy.act(row, agent="uav_1")
         assert first.tobytes() == second.tobytes()
+
+
+def test_a_policy_that_cannot_be_copied_flies_stacks_alone():
+    chosen = small()
+    policy = load_policy(lambda flat: np.zeros((len(flat), 4)), chosen)
+    policy.lock = threading.Lock()
+    with pytest.raises(
+        ValueError, match=r"must be copied for each robot, got TypeError: .*lock.* implement __deepcopy__"
+    ):
+        policy.act(np.zeros(chosen.observation_size), agent="uav_0")
+    assert not policy.act(np.zeros((4, chosen.observation_size))).any()
 
 
 def test_a_policy_without_a_memory_takes_anything():

@@ -12,6 +12,7 @@ import pytest
 from fovconn_env import scenario
 from fovconn_env.baselines import Policy, find_policy, load_policy, source_files
 from fovconn_env.flights.rollout import rollout
+from fovconn_env.training.evaluation import evaluate
 from tests.helpers import small
 
 CONSTANT = """
@@ -101,6 +102,10 @@ class Mine(Policy):
 def test_a_package_of_the_working_folder(write):
     write({"pk/__init__.py": "", "pk/mine.py": CONSTANT.replace("helper", "pk.helper"), "pk/helper.py": "GAIN = 0.25"})
     assert gain("pk.mine:Mine") == 0.25
+    Path("plain").mkdir()
+    for name in ("pk.yours", "pk", "park", "plain"):
+        with pytest.raises(ValueError, match=rf"there is no module {name}$|policy class of {name}, got 'Mine'"):
+            find_policy(f"{name}:Mine")
     assert "pk" not in sys.modules
 
 
@@ -181,6 +186,47 @@ def test_an_object_that_is_called_starts_anew_with_each_policy():
 
     counter = Counter()
     assert gain(counter) == gain(counter) == 1 / 8
+
+
+def test_functions_and_files_are_evaluated(write):
+    write(half=FUNCTION)
+    task = small(max_cycles=3)
+    name, path, function = (
+        evaluate(policy, task, [5]) for policy in ("half.py", Path("half.py"), find_policy("half.py:other").original[0])
+    )
+    assert [name.policy, path.policy, function.policy] == ["half", "half", "other"]
+    assert name.episodes["mean_speed"] == path.episodes["mean_speed"] != function.episodes["mean_speed"]
+
+
+def test_compiled_code_in_a_file_of_ones_own(write):
+    """numba, and the kernels' own decorator, find the globals of such a module."""
+    write(
+        mine="""
+import numba
+import numpy as np
+from fovconn_env.baselines import Policy
+from fovconn_env.kernel.jit import entry
+from helper import GAIN
+
+@numba.njit
+def double(x):
+    return 2.0 * x
+
+@entry
+def fill(out):
+    for i in range(out.shape[0]):
+        for k in range(out.shape[1]):
+            out[i, k] = abs(-double(GAIN))
+
+class Mine(Policy):
+    def decide(self, flat):
+        actions = np.empty((len(flat), 4), np.float32)
+        fill(actions)
+        return actions
+""",
+        helper="GAIN = 0.25",
+    )
+    assert gain("mine.py") == 0.5
 
 
 # ------------------------------------------------------------------------------------------------- where it fails
