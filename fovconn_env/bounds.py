@@ -71,17 +71,17 @@ def setting(default: Any, meaning: str) -> Any:
     return dataclasses.field(default=default, metadata={"meaning": meaning})
 
 
-def positive(default: float, most: float = 1e9) -> Any:
+def positive(default: float, meaning: str = "", *, most: float = 1e9) -> Any:
     """A dataclass field for a number above 0."""
     why = "a size, rate or gain that is zero switches physics off"
     bounds = Bounds(0, most, why, above=True, whole=isinstance(default, int))
-    return dataclasses.field(default=default, metadata={"bounds": bounds})
+    return dataclasses.field(default=default, metadata={"bounds": bounds, "meaning": meaning})
 
 
-def non_negative(default: float, most: float = 1e9) -> Any:
+def non_negative(default: float, meaning: str = "", *, most: float = 1e9) -> Any:
     """A dataclass field for a number of at least 0."""
     bounds = Bounds(0, most, "0 switches it off", whole=isinstance(default, int))
-    return dataclasses.field(default=default, metadata={"bounds": bounds})
+    return dataclasses.field(default=default, metadata={"bounds": bounds, "meaning": meaning})
 
 
 def fraction(default: float, meaning: str = "") -> Any:
@@ -165,7 +165,8 @@ def settings_group(kind: _Kind) -> _Kind:
         init(self, **values)
 
     kind.__init__ = checked_init
-    kind.__doc__ = f"{inspect.cleandoc(kind.__doc__ or '')}\n\nSettings:\n{_listed(kind)}\n"
+    lines = "\n".join(f"    {line}" for line in listed(kind))
+    kind.__doc__ = f"{inspect.cleandoc(kind.__doc__ or '')}\n\nSettings:\n{lines}\n"
     return kind
 
 
@@ -187,10 +188,11 @@ def default_of(field: dataclasses.Field[Any]) -> str:
     return f"{field.default:.4g}" if isinstance(field.default, float) and len(text) > 8 else text
 
 
-def _listed(kind: type) -> str:
+def listed(kind: type) -> list[str]:
+    """A line for each field of a settings class: name, default, words, meaning, bounds."""
     lines = []
     for field in dataclasses.fields(kind):
         bounds, words = field.metadata.get("bounds"), " or ".join(words_of(kind, field))
         parts = [default_of(field), words, field.metadata.get("meaning"), str(bounds) if bounds else ""]
-        lines.append(f"    {field.name}: {'; '.join(part for part in parts if part)}")
-    return "\n".join(lines)
+        lines.append(f"{field.name}: {'; '.join(part for part in parts if part)}")
+    return lines

@@ -40,6 +40,24 @@ class MissingPackage(FovconnError, ImportError):
     """A package is not installed; the message names the extra that brings it."""
 
 
+# By the name to import: the extra of this project that brings a package.
+EXTRAS = {
+    **dict.fromkeys(("typer", "rich", "scipy", "jinja2", "svgpathtools"), "cli"),
+    **dict.fromkeys(("matplotlib", "PIL", "pygame"), "render"),
+    **dict.fromkeys(("av", "pyarrow"), "export"),
+    "rerun": "rerun",
+    **dict.fromkeys(("torch", "stable_baselines3", "tensorboard"), "learn"),
+}
+
+
+def missing_package(what: str, problem: ImportError) -> MissingPackage | None:
+    """The error, with the extra to install, of what needs a package that is not there; None for any other import."""
+    package = (problem.name or "").partition(".")[0]
+    if package not in EXTRAS:
+        return None
+    return MissingPackage(f'{what} needs {package}: pip install "fovconn-env[{EXTRAS[package]}]"')
+
+
 class PolicyError(ValueError):
     """The code of a policy failed; `__cause__` is its own error."""
 

@@ -88,7 +88,7 @@ def test_readme_is_short_and_has_the_examples_it_promises():
 @pytest.mark.parametrize("arguments", commands("fovconn"), ids=" ".join)
 def test_commands_parse(arguments):
     typer_main = pytest.importorskip("typer.main")
-    from fovconn_env.training.cli import app
+    from fovconn_env.training.commands.app import app
     from fovconn_env.training.commands.options import parse
     from fovconn_env.training.evaluation.campaign import parse_seeds, suite
 

@@ -1,83 +1,23 @@
-"""The `fovconn` command: what there is, and how what goes wrong is told."""
+"""The `fovconn` command; what it needs beside the environments comes with extras, and is named where it is missing."""
 
 from __future__ import annotations
 
-import errno
 import sys
-import traceback
-from pathlib import Path
-from typing import Annotated
 
-import typer
-
-import fovconn_env
-from fovconn_env.errors import FovconnError, PolicyError, place_of
-from fovconn_env.training.commands import bench, demo, evaluate, figures, play, replay, train
-from fovconn_env.training.commands.screen import out, say_error
-from fovconn_env.training.evaluation.campaign import Interrupted
-
-_PACKAGE = Path(fovconn_env.__file__).parent
-_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)  # may name no file
-
-app = typer.Typer(
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    help="Robots that see only what is in front of them, kept together: fly them, measure them.",
-)
-_COMMANDS = {"eval": evaluate, "demo": demo, "play": play, "replay": replay, "figures": figures, "bench": bench}
-for _name, _module in _COMMANDS.items():
-    app.command(_name)(_module.command)
-app.add_typer(train.app, name="train")
+from fovconn_env.errors import missing_package
 
 
 def main() -> None:
-    """Run the command. What the user can put right ends it with one line and status 2, the rest with a traceback."""
+    """Run the command."""
     try:
-        app(standalone_mode=True)
-    except FovconnError as problem:
-        say_error(str(problem))
+        from fovconn_env.training.commands import app
+    except ModuleNotFoundError as problem:
+        missing = missing_package("fovconn", problem)
+        if missing is None:
+            raise
+        print(f"fovconn: {missing}", file=sys.stderr)
         sys.exit(2)
-    except Interrupted as kept:
-        say_error(str(kept), "bold yellow")
-        sys.exit(130)
-    except Exception as problem:
-        line = one_line(problem)
-        say_error(line or whose_fault(problem))
-        if not line:
-            traceback.print_exception(problem)
-        sys.exit(2 if line else 1)
-
-
-def one_line(problem: Exception) -> str:
-    """What is wrong with a file, or with the disk, that the user named; "" for any other error."""
-    if not isinstance(problem, OSError) or place_of(problem):
-        return ""
-    named = problem.filename is not None and not Path(str(problem.filename)).is_relative_to(_PACKAGE)
-    if named:
-        return f"{problem.strerror}: {str(problem.filename)!r}"
-    return f"{problem.strerror}" if problem.errno in _DISK else ""
-
-
-def whose_fault(problem: Exception) -> str:
-    """The sentence above a traceback: whose code failed, and what to do."""
-    place = problem.place if isinstance(problem, PolicyError) else place_of(problem)
-    what = str(problem) if isinstance(problem, PolicyError) else f"{type(problem).__name__}: {problem}"
-    if isinstance(problem, MemoryError):
-        return f"the memory is full ({what}): try fewer --processes, or a smaller --batch"
-    if place:
-        return f"your own code failed, at {place}: {what}"
-    return (
-        f"a fault of fovconn_env {fovconn_env.__version__}, please report it with the command and all of this: {what}"
-    )
-
-
-@app.callback(invoke_without_command=True)
-def common(version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
-    """Options of the command itself."""
-    if version:
-        out.print(fovconn_env.__version__, highlight=False)
-        raise typer.Exit()
+    app.main()
 
 
 if __name__ == "__main__":

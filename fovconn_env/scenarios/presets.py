@@ -35,25 +35,25 @@ def _view(edge: float, full: float) -> Camera:
 PRESETS: dict[str, Scenario] = {
     preset.name: preset
     for preset in (
-        Scenario(name="LeaderFollow-v0"),  # Sec. V of the paper, without tilt
-        Scenario(  # the paper's beginning: a sparse team gathers
+        Scenario(name="LeaderFollow-v0"),
+        Scenario(
             name="Regroup-v0",
             leader="none",
             max_cycles=1200,
             patience=math.inf,
             start=Start(lambda2_low=0.02, lambda2_high=0.10),
         ),
-        Scenario(  # pillars and walls, which also hide robots from each other
+        Scenario(
             name="LeaderObstacles-v0",
             camera=Camera(occlusion=True),
             map=Forest(n_pillars=5, n_walls=1),
         ),
-        Scenario(  # Sec. V with full dynamics, a tilting camera and actuation noise
+        Scenario(
             name="TiltDynamics-v0",
             dynamics="quadrotor",
             airframe=Airframe(rotor_noise=0.01, force_noise=0.2),
         ),
-        Scenario(  # followers fail: a camera, a radio for a while, a whole robot
+        Scenario(
             name="Blackout-v0",
             patience=math.inf,
             faults=(
@@ -62,7 +62,7 @@ PRESETS: dict[str, Scenario] = {
                 Fault(kind="robot", at=(10.0, 40.0)),
             ),
         ),
-        Scenario(  # one gap in a wall, narrower than the team
+        Scenario(
             name="Corridor-v0",
             camera=Camera(occlusion=True),
             map=Corridor(width=(5.0, 5.5)),
@@ -70,14 +70,14 @@ PRESETS: dict[str, Scenario] = {
         Scenario(name="LeaderAggressive-v0", stick_speed=1.5),  # an operator as fast as the robots, or faster
         Scenario(name="NarrowCamera-v0", camera=_view(45.0, 15.0)),
         Scenario(name="LossyRadio-v0", patience=math.inf, radio=Radio(loss=0.1, delay=10)),  # slow as well
-        Scenario(  # neighbours that hardly move tell nothing of their yaw
+        Scenario(
             name="YawTrap-v0",
             n_agents=3,
             stick_speed=0.2,
             course=Course(leg=3.0),
         ),
         Scenario(name="ScaleUp-v0", n_agents=3),
-        Scenario(  # some of each
+        Scenario(
             name="Mix-v0",
             stick_speed=1.5,
             camera=dataclasses.replace(_view(55.0, 15.0), occlusion=True),
@@ -87,6 +87,21 @@ PRESETS: dict[str, Scenario] = {
     )
 }
 
+
+SUMMARIES = {
+    "LeaderFollow-v0": "the paper's Sec. V, kinematic: a scripted operator pulls the leader along three legs",
+    "TiltDynamics-v0": "the same with full quadrotor dynamics, cameras that tilt with the body, and actuation noise",
+    "Regroup-v0": "the paper's beginning: a barely connected team gathers, without operator",
+    "LeaderObstacles-v0": "LeaderFollow among pillars and a wall, which also block the sight",
+    "Blackout-v0": "LeaderFollow while followers fail: a camera, a radio for 10 s, a whole robot",
+    "Corridor-v0": "the leader is pulled through one gap in a wall, narrower than the team",
+    "LeaderAggressive-v0": "the operator pulls as fast as the robots fly, and faster",
+    "NarrowCamera-v0": "cameras that see 45°, 30° or 20° off their axis",
+    "LossyRadio-v0": "messages are lost and late; a split does not end the episode",
+    "YawTrap-v0": "three robots that hardly move, so that little tells their relative yaw",
+    "ScaleUp-v0": "teams of 3 to 48 robots",
+    "Mix-v0": "pillars, a lossy radio, narrower cameras and a fast operator at once",
+}  # what happens in each, in a line
 
 # What the levels from 2 on change in a preset, which is level 1. Their order is that of the setting that grows; what
 # they are worth is measured: docs/scenarios.md.

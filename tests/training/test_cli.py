@@ -17,13 +17,13 @@ from fovconn_env import Course, Simulator, scenario
 from fovconn_env.baselines import load_policy
 from fovconn_env.flights.flight import Flight, fly
 from fovconn_env.flights.metrics import Meter, bin_edges, quantile
-from fovconn_env.training import cli
+from fovconn_env.training.commands import app
 from fovconn_env.training.evaluation import evaluate, summary
 from tests import reference as ref
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = {"eval": "--scenario", "demo": "--scenario", "bench": "--scenario", "figures": "--ablations"}
-COMMANDS |= {"replay": "--out", "play": "--scenario"}
+COMMANDS |= {"replay": "--out", "play": "--scenario", "list": "--help"}
 TINY = ("--set", "n_agents=3", "--set", "max_cycles=40", "--set", "warmup=0.5")
 
 
@@ -31,13 +31,14 @@ TINY = ("--set", "n_agents=3", "--set", "max_cycles=40", "--set", "warmup=0.5")
 def test_help_and_version(fovconn):
     top = fovconn("--help")
     assert top.status == 0
-    assert {command.name for command in cli.app.registered_commands} == set(COMMANDS)
+    assert {command.name for command in app.app.registered_commands} == set(COMMANDS)
     for command, option in COMMANDS.items():
         assert command in top.out
         shown = fovconn(command, "--help")
         assert shown.status == 0
         assert option in shown.out
         assert ("LeaderFollow-v0" in shown.out) == (option == "--scenario")
+        assert fovconn(command, "-h").out == shown.out
     assert fovconn("--version").out.strip() == fovconn_env.__version__
     bare = fovconn()
     assert bare.status == 2

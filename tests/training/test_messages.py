@@ -1,14 +1,21 @@
 """How `fovconn` ends when something goes wrong: one line for what the user can put right, else a traceback."""
 
 import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
 
 import pytest
 
-from fovconn_env import files, fovconn_v0
-from fovconn_env.errors import FovconnError, MachineError, MissingPackage, PolicyError, SettingTypeError
+from fovconn_env import LEVELS, PRESETS, files, fovconn_v0
+from fovconn_env.baselines import POLICIES
+from fovconn_env.errors import EXTRAS, FovconnError, MachineError, MissingPackage, PolicyError, SettingTypeError
 from fovconn_env.flights import recording
 from fovconn_env.training.commands import bench
 
+ROOT = Path(__file__).parents[2]
 TINY = ("--set", "n_agents=3", "--set", "max_cycles=4", "--set", "warmup=0.1")
 FLY = ("train", "record", "--seeds", "0", *TINY, "--out", "flights.npz")
 ERRORS = ("ValueError", "TypeError", "KeyError", "OverflowError", "MemoryError", "RecursionError", "FileNotFoundError")
@@ -128,3 +135,69 @@ def test_a_path_that_cannot_be_used_is_named(words, path, fovconn, tmp_path, mon
 def test_a_full_disk_names_the_file_that_was_to_be_written(fovconn, monkeypatch):
     monkeypatch.setattr(os, "fsync", failing("OSError(28, 'No space left on device')"))
     one_line(fovconn(*FLY), "No space left on device", "flights.npz")
+
+
+# ------------------------------------------------------------------------------------------------ what is not installed
+IMPORTED = {"pillow": "PIL", "pygame-ce": "pygame", "stable-baselines3": "stable_baselines3", "rerun-sdk": "rerun"}
+
+
+def test_every_package_of_an_extra_is_known():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
+    for extra in ("cli", "render", "export", "rerun", "learn"):
+        packages = {re.match(r"[\w-]+", line)[0] for line in extras[extra]} - {"fovconn-env"}
+        assert {IMPORTED.get(name, name) for name in packages} == {name for name in EXTRAS if EXTRAS[name] == extra}
+
+
+def test_a_base_install_flies_and_says_what_the_command_needs(tmp_path):
+    """No package of an extra can be imported: environments and policies work, any call of the command is one line."""
+    program = """if True:
+        import sys
+        from fovconn_env.errors import EXTRAS
+        sys.modules.update(dict.fromkeys(EXTRAS))
+        import fovconn_env
+        from fovconn_env.baselines import load_policy
+        env = fovconn_env.parallel_env(n_agents=3, warmup=0.1)
+        load_policy("residual", env)
+        env.reset(seed=0)
+        from fovconn_env.training.cli import main
+        main()
+    """
+    command = [sys.executable, "-c", program, "--version"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.splitlines()[-1] == 'fovconn: fovconn needs typer: pip install "fovconn-env[cli]"'
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    "package, words",
+    [
+        ("torch", ("train", "dagger", "--steps", "10")),
+        ("pygame", ("play",)),
+        ("matplotlib", ("demo",)),
+        ("av", ("replay", "flight.npz", "--out", "flight.mp4")),
+        ("rerun", ("replay", "flight.npz", "--out", "flight.rrd")),
+    ],
+)
+def test_what_needs_an_extra_names_it(package, words, fovconn, monkeypatch):
+    monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.delitem(sys.modules, "fovconn_env.training.play.app", raising=False)
+    one_line(fovconn(*words), f"needs {package}: pip install", EXTRAS[package])
+
+
+# ---------------------------------------------------------------------------------------------------- what there is
+def test_the_list_has_all_there_is(fovconn):
+    shown = fovconn("list")
+    assert shown.status == 0
+    lines = shown.out.splitlines()
+    readme = (ROOT / "README.md").read_text("utf-8")
+    for name in PRESETS:
+        [line] = [line for line in lines if line.startswith(f"  {name} ")]
+        assert (f"levels 1-{len(LEVELS.get(name, ())) + 1}" in line) == (name in LEVELS)
+        summary = re.search(rf"^\| `{name}` \| (.*) \|$", readme, re.MULTILINE)[1]
+        assert line.endswith(f"  {summary}")
+    for name in POLICIES:
+        [line] = [line for line in lines if line.startswith(f"  {name} ")]
+        assert line.rstrip().endswith(".")
+    assert [line.split()[0] for line in lines[lines.index("suites") + 1 :][:2]] == ["quick", "full"]

@@ -484,7 +484,10 @@ def test_help_helps(fovconn):
     shown = fovconn("train", "ppo", "--tune", "help")
     assert shown.status == 0
     for field in (*dataclasses.fields(PPOSettings), *dataclasses.fields(Network)):
-        assert f"{field.name}={field.default}" in shown.out
+        line = next(line for line in shown.out.splitlines() if line.startswith(f"{field.name}="))
+        assert str(field.default) in line
+        assert field.metadata["meaning"] in line
+        assert field.metadata["meaning"]
 
 
 WRONG = {

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from fovconn_env.errors import MissingPackage, SettingError
+from fovconn_env.errors import SettingError, missing_package
 from fovconn_env.render.palette import THEMES
 from fovconn_env.training.commands.options import PolicyName, ScenarioName, Settings, check_recording, parse
 from fovconn_env.training.commands.screen import err, say_written
@@ -40,7 +40,7 @@ def command(
     try:
         from fovconn_env.training.play.app import App
     except ImportError as missing:
-        raise MissingPackage(f'play needs {missing.name}: pip install "fovconn-env[render]"') from missing
+        raise missing_package("play", missing) or missing from missing
     with err.status("loading (compiles once, ~20 s)"):
         Session(scenario_name, policy, seed, changes=changes).step()  # loads the kernels, off the record
         session = Session(scenario_name, policy, seed, changes=changes, record=recording_file)

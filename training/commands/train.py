@@ -15,6 +15,7 @@ from fovconn_env import PRESETS
 from fovconn_env.baselines import POLICIES, find_policy
 from fovconn_env.baselines.learned.cards import BASES
 from fovconn_env.baselines.learned.policy import Learned
+from fovconn_env.bounds import listed
 from fovconn_env.errors import rule
 from fovconn_env.training.commands import dataset
 from fovconn_env.training.commands.options import OUT, check_folder, parse, read_scenarios
@@ -177,8 +178,8 @@ def _train(name: str, given: Mapping[str, Any]) -> None:
     module = importlib.import_module(f"fovconn_env.training.learn.{trainer.module}")
     kind = getattr(module, trainer.settings)
     if "help" in tune:
-        for field in [*dataclasses.fields(kind), *dataclasses.fields(Network)]:
-            out.print(f"{field.name}={field.default}", highlight=False)
+        for line in [*listed(kind), *listed(Network)]:
+            out.print(line.replace(": ", "=", 1), soft_wrap=True)
         return
     arguments = trainer.arguments(given)
     budget = Budget(steps=given["steps"], minutes=given["minutes"])

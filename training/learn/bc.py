@@ -26,10 +26,10 @@ from fovconn_env.training.learn.rows import Rows
 class BCSettings:
     """Hyper-parameters: those of `dagger.DaggerSettings` as far as they go."""
 
-    n_updates: int = positive(150)  # in an iteration
-    batch: int = positive(1024)
-    learning_rate: float = positive(1e-3)  # at the start; falls to 1 % along a cosine
-    knee: float = positive(0.02)
+    n_updates: int = positive(150, "gradient steps in an iteration")
+    batch: int = positive(1024, "samples of a gradient step")
+    learning_rate: float = positive(1e-3, "at the start; falls to 1 % along a cosine")
+    knee: float = positive(0.02, "error from which the loss grows linearly: small errors matter where V' is steep")
 
     def __post_init__(self) -> None:
         check_numbers(self)

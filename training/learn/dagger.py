@@ -17,7 +17,7 @@ import torch
 from fovconn_env import Scenario
 from fovconn_env.baselines.learned.cards import BASES
 from fovconn_env.baselines.learned.inputs import ACTION
-from fovconn_env.bounds import check_numbers, fraction, positive
+from fovconn_env.bounds import check_numbers, fraction, positive, setting
 from fovconn_env.errors import rule
 from fovconn_env.fields import check_array
 from fovconn_env.training.learn.checkpoints import below, check_like
@@ -30,16 +30,16 @@ from fovconn_env.training.learn.rows import Rows
 class DaggerSettings:
     """Hyper-parameters; why these: docs/training.md."""
 
-    expert: str = "expert"  # the law to imitate: expert, augmented or cohesive
-    n_worlds: int = positive(64)
-    n_steps: int = positive(200)  # flown in an iteration
-    every: int = positive(4)  # of these steps, every such one is labelled: neighbouring ones are nearly the same
-    capacity: int = positive(500_000)  # rows of the buffer; when it is full, new ones replace random old ones
-    n_updates: int = positive(150)  # in an iteration
-    batch: int = positive(1024)
-    learning_rate: float = positive(1e-3)  # at the start; falls to 1 % along a cosine
-    knee: float = positive(0.02)  # error from which the loss grows linearly: small errors matter where V' is steep
-    mixed: float = fraction(0.15)  # share of the training over which beta falls from 1 to 0
+    expert: str = setting("expert", "the law to imitate: expert, augmented or cohesive")
+    n_worlds: int = positive(64, "flown at once")
+    n_steps: int = positive(200, "flown in an iteration, in each world")
+    every: int = positive(4, "one of so many steps is labelled: neighbouring ones are nearly the same")
+    capacity: int = positive(500_000, "rows of the buffer; when it is full, new ones replace random old ones")
+    n_updates: int = positive(150, "gradient steps in an iteration")
+    batch: int = positive(1024, "samples of a gradient step")
+    learning_rate: float = positive(1e-3, "at the start; falls to 1 % along a cosine")
+    knee: float = positive(0.02, "error from which the loss grows linearly: small errors matter where V' is steep")
+    mixed: float = fraction(0.15, "share of the training in which the law still flies, less and less")
 
     def __post_init__(self) -> None:
         check_numbers(self)

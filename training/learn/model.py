@@ -15,6 +15,7 @@ from torch import nn
 
 from fovconn_env.baselines.learned.networks import ENCODERS
 from fovconn_env.baselines.learned.policy import Encoder, Head
+from fovconn_env.bounds import setting
 from fovconn_env.errors import check_count, rule
 from fovconn_env.training.learn.rows import Rows
 
@@ -23,11 +24,11 @@ from fovconn_env.training.learn.rows import Rows
 class Network:
     """The network of a policy: how rows become features, and what comes after."""
 
-    kind: Literal["set", "mlp"] = "set"
-    width: int = 64  # of a neighbour's term in the set network
-    spots: int = 32  # of a range point's
-    hidden: tuple[int, int] = (128, 64)  # layers of actor and of critic, on top of the features
-    log_std: float | None = None  # logarithm of an action's first standard deviation; None: the algorithm's own
+    kind: Literal["set", "mlp"] = setting("set", "set fits any team size, mlp is to compare")
+    width: int = setting(64, "of a neighbour's term in the set network")
+    spots: int = setting(32, "of a range point's")
+    hidden: tuple[int, int] = setting((128, 64), "layers of actor and of critic, on top of the features")
+    log_std: float | None = setting(None, "logarithm of an action's first deviation; None: the algorithm's own")
 
     def __post_init__(self) -> None:
         rule(self.kind in ENCODERS, "--network", f"one of {', '.join(ENCODERS)}", self.kind, "set fits any N")

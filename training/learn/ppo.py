@@ -30,21 +30,21 @@ from fovconn_env.training.learn.rows import Rows
 class PPOSettings:
     """Hyper-parameters; why these: docs/training.md."""
 
-    n_worlds: int = positive(64)
-    n_steps: int = positive(128)  # flown in an iteration
-    n_epochs: int = positive(4)
-    batch: int = positive(4096)
-    learning_rate: float = positive(5e-4)  # at the start; falls to 0 linearly
-    gamma: float = fraction(0.99)  # a step is 0.05 s: looks 5 s ahead
-    lam: float = fraction(0.95)  # of generalised advantage estimation
-    clip: float = positive(0.2)
-    value: float = non_negative(0.5)  # weight of the critic's loss
-    entropy: float = non_negative(0.0)
-    max_norm: float = positive(0.5)  # of a gradient
-    reward: float = positive(0.1)  # rewards are multiplied by it: an end weighs 50, a step 0.05
-    anchor: float = non_negative(0.1)  # with a start: weight of the divergence from it, falls to 0 linearly ...
-    anchored: float = fraction(0.5)  # ... over this share of the training
-    critic_first: float = fraction(0.05)  # with a start: share of the training in which the critic learns alone
+    n_worlds: int = positive(64, "flown at once")
+    n_steps: int = positive(128, "flown in an iteration, in each world")
+    n_epochs: int = positive(4, "passes over what was flown")
+    batch: int = positive(4096, "samples of a gradient step")
+    learning_rate: float = positive(5e-4, "at the start; falls to 0 linearly")
+    gamma: float = fraction(0.99, "discount of a step; a step is 0.05 s: looks 5 s ahead")
+    lam: float = fraction(0.95, "lambda of generalised advantage estimation")
+    clip: float = positive(0.2, "greatest change of an action's probability, as a share")
+    value: float = non_negative(0.5, "weight of the critic's loss")
+    entropy: float = non_negative(0.0, "weight of the entropy's bonus")
+    max_norm: float = positive(0.5, "greatest norm of a gradient")
+    reward: float = positive(0.1, "rewards are multiplied by it: an end weighs 50, a step 0.05")
+    anchor: float = non_negative(0.1, "with a start: weight of the divergence from it, falls to 0 linearly")
+    anchored: float = fraction(0.5, "share of the training over which anchor falls")
+    critic_first: float = fraction(0.05, "with a start: share of the training in which the critic learns alone")
 
     def __post_init__(self) -> None:
         check_numbers(self)

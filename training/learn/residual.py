@@ -16,7 +16,7 @@ import torch
 
 from fovconn_env import Scenario
 from fovconn_env.baselines.learned.cards import BASES
-from fovconn_env.bounds import fraction, non_negative, positive
+from fovconn_env.bounds import fraction, non_negative, positive, setting
 from fovconn_env.errors import rule
 from fovconn_env.training.learn.model import Network
 from fovconn_env.training.learn.ppo import PPOSettings, Team
@@ -26,12 +26,12 @@ from fovconn_env.training.learn.ppo import PPOSettings, Team
 class ResidualSettings(PPOSettings):
     """PPO's, law and bound."""
 
-    base: str = "cohesive"
-    bound: float = fraction(0.3)  # of 2.5 m/s and 1 rad/s
-    learning_rate: float = positive(1e-3)  # at the start; falls to 0 linearly
-    gamma: float = fraction(0.995)  # a step is 0.05 s: looks 10 s ahead
-    anchor: float = non_negative(0.03)  # weight of the divergence from the law, falls to 0 linearly ...
-    anchored: float = fraction(1.0)  # ... over this share of the training
+    base: str = setting("cohesive", "the law to correct")
+    bound: float = fraction(0.3, "greatest correction, as a share of 2.5 m/s and 1 rad/s")
+    learning_rate: float = positive(1e-3, "at the start; falls to 0 linearly")
+    gamma: float = fraction(0.995, "discount of a step; a step is 0.05 s: looks 10 s ahead")
+    anchor: float = non_negative(0.03, "weight of the divergence from the law, falls to 0 linearly")
+    anchored: float = fraction(1.0, "share of the training over which anchor falls")
 
     def __post_init__(self) -> None:
         super().__post_init__()
