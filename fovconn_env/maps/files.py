@@ -7,19 +7,19 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from fovconn_env.errors import SettingError, rule
-from fovconn_env.files import write_text
-from fovconn_env.maps.outlines import Short
+from fovconn_env.files import read_file, write_text
+from fovconn_env.maps.outlines import MAX_OUTLINE, Short
 from fovconn_env.maps.svg import read_svg
 
 FORMAT, VERSION = "fovconn-map", 1
 MAX_BYTES = 5_000_000  # of a file
 MAX_CORNERS = 20_000  # of all obstacles of a file; a circle has one, a wall two
-MAX_OUTLINE = 1000  # corners of one outline: the time to cut it into convex pieces grows with their cube
 SUFFIXES = (".json", ".svg")
 
 # Arguments of Map's methods, by shape, and the depth of their nested lists: 0 a number, 1 a point, 2 an outline.
@@ -40,27 +40,36 @@ class Entry(NamedTuple):
     shapes: Sequence[tuple[str, Mapping[str, Any]]]
 
 
-def read_entries(path: Path, scale: float) -> list[Entry]:
-    """The obstacles of a file, in its order. scale, m: length of an SVG user unit.
+class Contents(NamedTuple):
+    """What a file holds, as far as it is understood."""
+
+    entries: list[Entry]
+    left_out: dict[str, int]  # what of a drawing is no obstacle, and how often
+    refused: list[tuple[str, str]]  # name in the file, and why
+
+
+def read_contents(path: Path, scale: float, strokes: bool, origin: Sequence[float]) -> Contents:
+    """The obstacles of a file, in its order; scale, strokes and origin as in `Map.from_file`.
 
     Raises ValueError for contents that are not a map, OSError for a file that cannot be read.
     """
     suffix, file = path.suffix.lower(), str(path)
+    data = read_file(path, "map", MAX_BYTES)
     rule(suffix in SUFFIXES, f"{file}: a map", f"a file in {' or '.join(SUFFIXES)}", path.suffix, "see docs/maps.md")
-    rule(suffix == ".svg" or scale == 1.0, f"{file}: scale", "1 for a .json file", scale, "its numbers are metres")
+    plain = suffix == ".svg" or (scale == 1.0 and not strokes and not any(origin))
+    rule(plain, f"{file}: scale, strokes and origin", "as by default for a .json file", scale, "its numbers are metres")
     if suffix == ".json":
-        entries = _read_json(_read_text(path), file)
+        contents = Contents(_read_json(data, file), {}, [])
     else:
-        entries = [Entry(*obstacle) for obstacle in read_svg(_read_text(path), file, scale, MAX_OUTLINE)]
-    total, hint = 0, "simplify it, or draw it as several"
-    for entry in entries:
-        for shape, arguments in entry.shapes:
-            count = len(arguments["outline"]) if shape == "polygon" else 1 + (shape == "wall")
-            limit = f"of at most {MAX_OUTLINE} corners"
-            rule(count <= MAX_OUTLINE, f"{file}: {entry.name}: an outline", limit, count, hint)
-            total += count
+        drawing = read_svg(data, file, scale, strokes, origin)
+        contents = Contents([Entry(*obstacle) for obstacle in drawing.obstacles], drawing.left_out, drawing.refused)
+    total = sum(_corners(*shape) for entry in contents.entries for shape in entry.shapes)
     rule(total <= MAX_CORNERS, f"{file}: a map", f"of at most {MAX_CORNERS} corners", total, "simplify its outlines")
-    return entries
+    return contents
+
+
+def _corners(shape: str, arguments: Mapping[str, Any]) -> int:
+    return len(arguments["outline"]) if shape == "polygon" else 1 + (shape == "wall")
 
 
 def write_entries(path: Path, entries: Sequence[Sequence[tuple[str, Mapping[str, Any]]]]) -> None:
@@ -76,18 +85,12 @@ def write_entries(path: Path, entries: Sequence[Sequence[tuple[str, Mapping[str,
     write_text(path, text)
 
 
-def _read_text(path: Path) -> str:
-    with path.open("rb") as file:
-        data = file.read(MAX_BYTES + 1)
-    limit, hint = f"at most {MAX_BYTES} bytes long", "simplify its outlines"
-    rule(len(data) <= MAX_BYTES, f"{path}: a map", limit, path.stat().st_size, hint)
+def _read_json(data: bytes, file: str) -> list[Entry]:
     try:
-        return data.decode("utf-8-sig")
+        text = data.decode(json.detect_encoding(data))
     except UnicodeDecodeError as problem:
-        raise SettingError(f"{path}: a map must be text in UTF-8, got bytes that are not: {problem}") from None
+        raise SettingError(f"{file}: a .json map must be text in UTF-8, got bytes that are not: {problem}") from None
 
-
-def _read_json(text: str, file: str) -> list[Entry]:
     def reject_constant(name: str) -> None:
         raise SettingError(f"{name} is no number")
 
@@ -102,11 +105,14 @@ def _read_json(text: str, file: str) -> list[Entry]:
     supported = version == VERSION and not isinstance(version, bool)
     rule(supported, f"{file}: version", str(VERSION), Short(version), "is it of a newer fovconn_env?")
     rule(isinstance(obstacles, list), f"{file}: obstacles", "a list", Short(obstacles), "of one object each")
+    limit = f"of at most {MAX_CORNERS} corners"
+    rule(len(obstacles) <= MAX_CORNERS, f"{file}: a map", limit, len(obstacles), "each obstacle has one or more")
     entries = []
     for k, item in enumerate(obstacles):
         name = f"obstacles[{k}]"
         parts = item if isinstance(item, list) else [item]
         rule(bool(parts), f"{file}: {name}", "an object or a list of some", Short(item), "a list is one obstacle")
+        rule(len(parts) <= MAX_CORNERS, f"{file}: a map", limit, len(parts), f"{name} has one or more a shape")
         entries.append(Entry(name, [_read_shape(f"{file}: {name}", part) for part in parts]))
     return entries
 
@@ -118,6 +124,9 @@ def _read_shape(where: str, item: Any) -> tuple[str, dict[str, Any]]:
     shape = item.get("shape")
     depths = check_call(where, shape, arguments)
     for key, value in arguments.items():
+        count = len(value) if isinstance(value, list) else 0
+        hint = "simplify it, or draw it as several"
+        rule(count <= MAX_OUTLINE, f"{where}: an outline", f"of at most {MAX_OUTLINE} corners", count, hint)
         rule(_is_nested(value, depths[key]), f"{where} ({shape}): {key}", _DEPTHS[depths[key]], Short(value), "metres")
     return shape, arguments
 
@@ -155,7 +164,7 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """The pairs of a JSON object as a dict; a repeated key is a ValueError."""
     item = dict(pairs)
     if len(item) < len(pairs):
-        keys = [key for key, _ in pairs]
-        repeated = next(key for key in keys if keys.count(key) > 1)
+        counts = Counter(key for key, _ in pairs)
+        repeated = Short(next(key for key, count in counts.items() if count > 1))
         raise SettingError(f"{repeated!r} is there twice in one object")
     return item

@@ -13,8 +13,9 @@ import pymunk
 
 from fovconn_env.errors import SettingError, rule
 from fovconn_env.kernel.records import PIECE
-from fovconn_env.maps.files import check_call, read_entries, write_entries
+from fovconn_env.maps.files import check_call, read_contents, write_entries
 from fovconn_env.maps.outlines import Short, checked_array, checked_length, checked_outline, convex_pieces
+from fovconn_env.maps.report import MapReport
 
 LOW, HIGH = -100.0, 100.0  # m, an obstacle's height interval by default
 SIZE = "metres; way points are 1000 m apart at most"  # the reason for the bounds of random maps
@@ -30,6 +31,7 @@ class Map:
 
     def __init__(self) -> None:
         self.space = pymunk.Space()
+        self._count = 0  # of obstacles
 
     @classmethod
     def from_space(cls, space: pymunk.Space) -> Self:
@@ -44,31 +46,57 @@ class Map:
             if not shape.sensor:
                 groups.setdefault(getattr(shape, "source", shape), []).append(shape)
         result = cls()
-        for source, shapes in enumerate(groups.values()):
-            n_before = len(result.space.shapes)
+        for shapes in groups.values():
+            added = []
             for shape in shapes:
                 try:
-                    result._add_copy(shape)
+                    added += _copies(shape)
                 except (TypeError, ValueError) as error:
                     raise SettingError(f"Map.from_space cannot take {shape}: {error}") from error
-            for added in list(result.space.shapes)[n_before:]:
-                added.source = source
+            result._place(added)
         return result
 
     @classmethod
-    def from_file(cls, path: str | Path, *, scale: float = 1.0) -> Self:
+    def from_file(
+        cls, path: str | Path, *, scale: float = 1.0, strokes: bool = False, origin: npt.ArrayLike = (0.0, 0.0)
+    ) -> Self:
         """Map of a .json file as `to_file` writes it, or of the closed outlines of an .svg drawing (docs/maps.md).
 
-        scale, m: length of a user unit of the drawing. Raises ValueError, with file, element, rule and value, for
-        contents that are not a map, and OSError for a file that cannot be read.
+        scale, m: length of a user unit of the drawing. origin (2,): the point of the drawing, user units, that becomes
+        (0, 0). strokes: a drawing's shapes are taken as they are painted, lines as walls of their width and rings as
+        rings. Raises `SettingError` that lists all that is refused, with file, element, rule and value, and OSError for
+        a file that cannot be read. `inspect_file` tells what is left out, too.
         """
-        result = cls()
-        for entry in read_entries(Path(path), scale):
+        report = cls.inspect_file(path, scale=scale, strokes=strokes, origin=origin)
+        if report.refused:
+            raise SettingError(f"{path}: {report.refusals()}")
+        assert isinstance(report.map, cls)
+        return report.map
+
+    @classmethod
+    def inspect_file(
+        cls, path: str | Path, *, scale: float = 1.0, strokes: bool = False, origin: npt.ArrayLike = (0.0, 0.0)
+    ) -> MapReport:
+        """What `from_file` understands of a file, and what it leaves out or refuses; arguments as there.
+
+        Raises `SettingError` for a file that is refused as a whole, and OSError.
+        """
+        rule(isinstance(strokes, bool), f"{path}: strokes", "True or False", strokes, "it is a switch")
+        x, y = checked_array(f"{path}: origin", origin, (2,)).tolist()
+        contents = read_contents(Path(path), scale, strokes, (x, y))
+        result, names, refused = cls(), [], list(contents.refused)
+        for entry in contents.entries:
             try:
                 result.obstacle(entry.shapes)
-            except ValueError as error:
-                raise SettingError(f"{path}: {entry.name}: {error}") from None
-        return result
+            except ValueError as problem:
+                refused.append((entry.name, str(problem)))
+            else:
+                names.append(entry.name)
+        if not names and not refused and Path(path).suffix.lower() == ".svg":
+            left_out = ", ".join(f"{count} {what}" for what, count in contents.left_out.items())
+            hint = f"left out are {left_out}" if left_out else "there is no other shape in it"
+            raise SettingError(f"{path}: an .svg map must be a drawing of shapes that are seen, got none: {hint}")
+        return MapReport(result, names, dict(contents.left_out), refused)
 
     def to_file(self, path: str | Path) -> None:
         """Write the map as .json; `from_file` reads an equal map from it, bit for bit."""
@@ -88,50 +116,28 @@ class Map:
 
         Raises `SettingError` for another shape, and for arguments that a shape does not have.
         """
-        calls = []
+        added = []
         for k, call in enumerate(shapes):
             pair = isinstance(call, (tuple, list)) and len(call) == 2
             rule(pair, f"shape {k} of an obstacle", "a pair of shape and arguments", Short(call), "see Map.obstacles")
             check_call(f"shape {k} of an obstacle", *call)
-            calls.append(call)
-        n_before = len(self.space.shapes)
-        try:
-            for method, arguments in calls:
-                getattr(self, method)(**arguments)
-        except ValueError:
-            self.space.remove(*list(self.space.shapes)[n_before:])
-            raise
-        added = list(self.space.shapes)[n_before:]
-        for shape in added:
-            shape.source = added[0].source
-        return self
+            method, arguments = call
+            added += _MAKERS[method](**arguments)
+        return self._place(added)
 
     def circle(self, center: npt.ArrayLike, radius: float, *, low: float = LOW, high: float = HIGH) -> Self:
         """Add a pillar: center (2,) and radius, m; low and high, m, its height interval."""
-        core = checked_array("Map.circle center", center, (2,)).tolist()
-        return self._add("Map.circle", [[core]], radius, low, high)
+        return self._place(_circle(center, radius, low=low, high=high))
 
     def wall(
         self, start: npt.ArrayLike, end: npt.ArrayLike, thickness: float, *, low: float = LOW, high: float = HIGH
     ) -> Self:
         """Add a wall with round ends from start (2,) to end (2,), m; thickness, m, is twice the radius of the ends."""
-        ends = {"start": start, "end": end}
-        core = [checked_array(f"Map.wall {name}", point, (2,)).tolist() for name, point in ends.items()]
-        if core[0] == core[1]:
-            raise SettingError(f"Map.wall end must differ from start, got {end} for both: a pillar is a Map.circle")
-        thickness = checked_length("Map.wall thickness", thickness, above=0.0)
-        return self._add("Map.wall", [core], thickness / 2, low, high)
+        return self._place(_wall(start, end, thickness, low=low, high=high))
 
     def polygon(self, outline: npt.ArrayLike, radius: float = 0.0, *, low: float = LOW, high: float = HIGH) -> Self:
         """Add a polygon: outline (n, 2) m, its corners in order, convex or not; radius, m, rounds it outwards."""
-        checked_length("Map.polygon radius", radius, least=0.0)
-        corners = checked_array("Map.polygon outline", outline, (-1, 2))
-        pieces = convex_pieces(checked_outline("Map.polygon outline", corners))
-        n_before = len(self.space.shapes)
-        self._add("Map.polygon", [piece.tolist() for piece in pieces], radius, low, high)
-        for k, shape in enumerate(list(self.space.shapes)[n_before:]):
-            shape.outline = [] if k else corners.tolist()  # `obstacles` returns the polygon once, for its first piece
-        return self
+        return self._place(_polygon(outline, radius, low=low, high=high))
 
     def flatten(self) -> tuple[np.ndarray, np.ndarray]:
         """Arrays for the kernels: pieces (P,) PIECE, those of one obstacle adjacent, and vertices (V, 2), m."""
@@ -145,14 +151,20 @@ class Map:
 
     def clearance(self, points: npt.ArrayLike) -> np.ndarray:
         """Signed distance (n,) m of points (n, 3) to the nearest obstacle: negative inside, inf without obstacles."""
+        return self.nearest(points)[0]
+
+    def nearest(self, points: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """`clearance` (n,) m of points (n, 3), and the number of the nearest obstacle (n,), -1 without obstacles."""
         x, y, z = checked_array("Map.clearance points", points, (-1, 3)).T
-        least = np.full(len(x), np.inf)
+        least, number = np.full(len(x), np.inf), np.full(len(x), -1)
         for shape in self.space.shapes:
             plan = np.array([shape.point_query((a, b)).distance for a, b in zip(x, y, strict=True)])
             vertical = np.maximum(shape.height[0] - z, z - shape.height[1])
             outside = np.hypot(np.maximum(plan, 0.0), np.maximum(vertical, 0.0))
-            least = np.minimum(least, outside + np.minimum(np.maximum(plan, vertical), 0.0))
-        return least
+            distance = outside + np.minimum(np.maximum(plan, vertical), 0.0)
+            number[distance < least] = shape.source
+            least = np.minimum(least, distance)
+        return least, number
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Map):
@@ -168,31 +180,69 @@ class Map:
     def __copy__(self) -> Self:
         return copy.deepcopy(self)  # a shared space would let the copy add obstacles to the original
 
-    def _add(self, name: str, cores: list[list], radius: float, low: float, high: float) -> Self:
-        """Add one obstacle of rounded convex cores. All checks come first: an error leaves the map unchanged."""
-        if len(cores[0]) < 3:
-            checked_length(f"{name} radius", radius, above=0.0)
-        low = checked_length(f"{name} low", low)
-        high = checked_length(f"{name} high", high, above=low)
-        source = 1 + max((shape.source for shape in self.space.shapes), default=-1)
-        for core in cores:
-            shape = rounded_shape(core, float(radius))
-            shape.body, shape.height, shape.source = self.space.static_body, (low, high), source
+    def _place(self, shapes: list[pymunk.Shape]) -> Self:
+        """Add shapes without a body as one obstacle."""
+        for shape in shapes:
+            shape.body, shape.source = self.space.static_body, self._count
             self.space.add(shape)
+        self._count += bool(shapes)
         return self
 
-    def _add_copy(self, shape: pymunk.Shape) -> None:
-        """Add a copy of a shape of another space, at the shape's place in the world frame."""
-        if shape.body is None or shape.body.body_type != pymunk.Body.STATIC:
-            raise SettingError("its body must be static: obstacles stand still")
-        core = [tuple(shape.body.local_to_world(corner)) for corner in _core(shape)]
-        low, high = getattr(shape, "height", (LOW, HIGH))
-        if isinstance(shape, pymunk.Circle):
-            self.circle(core[0], shape.radius, low=low, high=high)
-        elif isinstance(shape, pymunk.Segment):
-            self.wall(core[0], core[1], 2 * shape.radius, low=low, high=high)
-        else:
-            self.polygon(core, shape.radius, low=low, high=high)
+
+def _circle(center: npt.ArrayLike, radius: float, *, low: float = LOW, high: float = HIGH) -> list[pymunk.Shape]:
+    core = checked_array("Map.circle center", center, (2,)).tolist()
+    return _shapes("Map.circle", [[core]], radius, low, high)
+
+
+def _wall(
+    start: npt.ArrayLike, end: npt.ArrayLike, thickness: float, *, low: float = LOW, high: float = HIGH
+) -> list[pymunk.Shape]:
+    ends = {"start": start, "end": end}
+    core = [checked_array(f"Map.wall {name}", point, (2,)).tolist() for name, point in ends.items()]
+    if core[0] == core[1]:
+        raise SettingError(f"Map.wall end must differ from start, got {end} for both: a pillar is a Map.circle")
+    thickness = checked_length("Map.wall thickness", thickness, above=0.0)
+    return _shapes("Map.wall", [core], thickness / 2, low, high)
+
+
+def _polygon(
+    outline: npt.ArrayLike, radius: float = 0.0, *, low: float = LOW, high: float = HIGH
+) -> list[pymunk.Shape]:
+    checked_length("Map.polygon radius", radius, least=0.0)
+    corners = checked_array("Map.polygon outline", outline, (-1, 2))
+    pieces = convex_pieces(checked_outline("Map.polygon outline", corners))
+    shapes = _shapes("Map.polygon", [piece.tolist() for piece in pieces], radius, low, high)
+    for k, shape in enumerate(shapes):
+        shape.outline = [] if k else corners.tolist()  # `obstacles` returns the polygon once, for its first piece
+    return shapes
+
+
+_MAKERS = {"circle": _circle, "wall": _wall, "polygon": _polygon}
+
+
+def _shapes(name: str, cores: list[list], radius: float, low: float, high: float) -> list[pymunk.Shape]:
+    """Rounded convex cores of one height interval, checked, without a body."""
+    if len(cores[0]) < 3:
+        checked_length(f"{name} radius", radius, above=0.0)
+    low = checked_length(f"{name} low", low)
+    high = checked_length(f"{name} high", high, above=low)
+    shapes = [rounded_shape(core, float(radius)) for core in cores]
+    for shape in shapes:
+        shape.height = (low, high)
+    return shapes
+
+
+def _copies(shape: pymunk.Shape) -> list[pymunk.Shape]:
+    """Copies of a shape of another space, at the shape's place in the world frame."""
+    if shape.body is None or shape.body.body_type != pymunk.Body.STATIC:
+        raise SettingError("its body must be static: obstacles stand still")
+    core = [tuple(shape.body.local_to_world(corner)) for corner in _core(shape)]
+    low, high = getattr(shape, "height", (LOW, HIGH))
+    if isinstance(shape, pymunk.Circle):
+        return _circle(core[0], shape.radius, low=low, high=high)
+    if isinstance(shape, pymunk.Segment):
+        return _wall(core[0], core[1], 2 * shape.radius, low=low, high=high)
+    return _polygon(core, shape.radius, low=low, high=high)
 
 
 def _method_call(shape: pymunk.Shape) -> tuple[str, dict[str, Any]] | None:

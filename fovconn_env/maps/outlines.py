@@ -16,7 +16,10 @@ import numpy.typing as npt
 from fovconn_env.errors import SettingError
 
 _STRAIGHT = 1e-9  # rad, a corner that turns by less counts as straight
+_NEAR = 1e-6  # of an outline's larger side: a corner nearer than this to the one before it is the same corner
+_MAX_TESTS = 4  # of cuts, for each corner of an outline, and 500 more; ordinary outlines need less than one
 FAR = 1e6  # m, no coordinate is larger
+MAX_OUTLINE = 1000  # corners of one outline of a file: the time to cut it into convex pieces grows with their square
 
 
 class Short(NamedTuple):
@@ -61,10 +64,11 @@ def checked_length(field: str, value: float, *, above: float = -math.inf, least:
 def checked_outline(field: str, outline: npt.ArrayLike) -> np.ndarray:
     """Corners (n, 2) of a simple outline, counter-clockwise, each once; `field` is its name in errors.
 
-    The first corner may be repeated at the end. Raises ValueError unless the outline is simple and has an area.
+    The first corner may be repeated at the end, and neighbours nearer than a millionth of the outline's larger side are
+    one corner: sums of relative coordinates miss where they started. Raises ValueError unless the outline is simple and
+    has an area.
     """
-    corners = checked_array(field, outline, (-1, 2))
-    corners = corners[(corners != np.roll(corners, 1, axis=0)).any(axis=1)]
+    corners = _distinct(checked_array(field, outline, (-1, 2)))
     if len(corners) < 3:
         raise SettingError(f"{field} must have at least 3 different corners, got {len(corners)}: a wall needs only 2")
     spans = corners - corners[0]
@@ -84,8 +88,12 @@ def checked_outline(field: str, outline: npt.ArrayLike) -> np.ndarray:
 
 
 def convex_pieces(outline: np.ndarray) -> list[np.ndarray]:
-    """Convex pieces (m, 2) that tile a checked outline. Cuts go from reflex corners to other corners of the outline."""
-    stack, pieces = [outline], []
+    """Convex pieces (m, 2) that tile a checked outline. Cuts go from reflex corners to other corners of the outline.
+
+    Raises ValueError for an outline that nearly touches itself, or that hides its corners from each other so well that
+    the search for cuts would take long.
+    """
+    stack, pieces, n_tests = [outline], [], 500 + _MAX_TESTS * len(outline)
     while stack:
         corners = stack.pop()
         turn = _turns(corners)
@@ -93,43 +101,81 @@ def convex_pieces(outline: np.ndarray) -> list[np.ndarray]:
             pieces.append(corners)
             continue
         corners = np.roll(corners, -int(turn.argmin()), axis=0)
-        cut = _choose_cut(corners)
+        cut, tested = _choose_cut(corners, n_tests)
+        n_tests -= tested
         stack += [np.concatenate([corners[cut:], corners[:1]]), corners[: cut + 1]]
     return pieces
 
 
-def _choose_cut(corners: np.ndarray) -> int:
+def _choose_cut(corners: np.ndarray, n_tests: int) -> tuple[int, int]:
     """Corner to cut to from corner 0, which is reflex: the nearest one that removes the reflex angle, else the nearest.
 
     A cut always exists: in a triangulation of a simple polygon a reflex corner belongs to more than one triangle.
+    Returns how many cuts were tested, too, n_tests at most.
     """
     n = len(corners)
-    rays, number = corners - corners[0], np.arange(n)
+    rays = corners - corners[0]
     length = np.hypot(rays[:, 0], rays[:, 1])
     left, right = _cross(rays[1], rays), _cross(rays, rays[-1])  # of the edge that leaves, of the edge that arrives
-    # a cut may not pass through another corner, which would leave a sliver, nor cross an edge
-    share = np.clip(rays @ rays.T / np.maximum(length, FAR**-2)[:, None] ** 2, 0.0, 1.0)
-    offset = np.linalg.norm(rays[None] - share[..., None] * rays[:, None], axis=-1)
-    offset[:, 0] = offset[number, number] = np.inf
-    crossed = _segments_meet(corners[:1, None], corners[:, None], corners[None], np.roll(corners, -1, axis=0)[None])
-    crossed[:, [0, n - 1]] = crossed[number, number] = crossed[number, number - 1] = False
-    possible = ((left > 0.0) | (right > 0.0)) & ~crossed.any(axis=1) & (offset.min(axis=1) > _STRAIGHT * length.max())
-    possible[[0, 1, n - 1]] = False
-    if not possible.any():
-        raise SettingError(f"outline corner {corners[0].tolist()} sees no other corner: does it nearly touch itself?")
-    cost = np.where(possible, length, np.inf) + np.where((left >= 0.0) & (right >= 0.0), 0.0, 4.0 * FAR)
-    return int(cost.argmin())
+    inward = (left > 0.0) | (right > 0.0)
+    inward[[0, 1, n - 1]] = False
+    cost = np.where(inward, length, np.inf) + np.where((left >= 0.0) & (right >= 0.0), 0.0, 4.0 * FAR)
+    edges = (np.minimum(corners, np.roll(corners, -1, axis=0)).T, np.maximum(corners, np.roll(corners, -1, axis=0)).T)
+    for tested, k in enumerate(cost.argsort(kind="stable")[: inward.sum()].tolist(), start=1):
+        if tested > n_tests:
+            raise SettingError(f"outline of {n} corners must be simpler, got one whose corners hardly see each other")
+        if _is_free(corners, k, edges, _STRAIGHT * float(length.max())):
+            return k, tested
+    raise SettingError(f"outline corner {corners[0].tolist()} sees no other corner: does it nearly touch itself?")
+
+
+def _is_free(corners: np.ndarray, k: int, edges: tuple[np.ndarray, np.ndarray], margin: float) -> bool:
+    """Whether the cut from corner 0 to corner k crosses no edge and passes no other corner, which would leave a sliver.
+
+    edges: low and high bounds (2, n) of those that leave the corners; margin, m: nearer corners count as passed.
+    """
+    a, b = corners[0], corners[k]
+    (ax, ay), (bx, by), ((low_x, low_y), (high_x, high_y)) = a.tolist(), b.tolist(), edges
+    beside = (high_x < min(ax, bx) - margin) | (low_x > max(ax, bx) + margin)
+    beside |= (high_y < min(ay, by) - margin) | (low_y > max(ay, by) + margin)
+    edge = (~beside).nonzero()[0]
+    others = corners[edge[(edge != 0) & (edge != k)]]  # of a corner that is passed, both edges are near
+    ray, rays = b - a, others - a
+    share = np.clip(rays @ ray / max(np.hypot(*ray), FAR**-2) ** 2, 0.0, 1.0)
+    if (np.hypot(*(rays - share[:, None] * ray).T) <= margin).any():
+        return False
+    edge = edge[(edge != 0) & (edge != len(corners) - 1) & (edge != k) & (edge != k - 1)]
+    return not _segments_meet(a, b, corners[edge], corners[(edge + 1) % len(corners)]).any()
+
+
+def _distinct(corners: np.ndarray) -> np.ndarray:
+    """Corners (n, 2) without those that repeat, or nearly repeat, the one before."""
+    corners = corners[(corners != np.roll(corners, 1, axis=0)).any(axis=1)]
+    if len(corners) == 0:
+        return corners
+    near = _NEAR * np.ptp(corners, axis=0).max()
+    if (np.hypot(*(corners - np.roll(corners, 1, axis=0)).T) > near).all():
+        return corners
+    kept = [0]
+    for k in range(1, len(corners)):
+        if math.dist(corners[k], corners[kept[-1]]) > near:
+            kept.append(k)
+    while len(kept) > 1 and math.dist(corners[kept[-1]], corners[0]) <= near:
+        kept.pop()
+    return corners[kept]
 
 
 def _first_crossing(corners: np.ndarray) -> tuple[int, int] | None:
     """First corners (i, j) of two edges that meet and are not adjacent; None for a simple outline."""
     n = len(corners)
     ends = np.roll(corners, -1, axis=0)
-    touching = _segments_meet(corners[:, None], ends[:, None], corners[None], ends[None])
-    apart = (np.arange(n)[None] - np.arange(n)[:, None]) % n
-    touching &= (apart > 1) & (apart < n - 1)
-    pairs = np.argwhere(touching)
-    return (int(pairs[0, 0]), int(pairs[0, 1])) if len(pairs) else None
+    apart = np.tri(n, k=1, dtype=bool)  # each pair once, and no adjacent ones
+    apart[0, -1] = True
+    for low, high in zip(np.minimum(corners, ends).T, np.maximum(corners, ends).T, strict=True):
+        apart |= (high[:, None] < low) | (high < low[:, None])
+    i, j = (~apart).nonzero()
+    touching = _segments_meet(corners[i], ends[i], corners[j], ends[j]).nonzero()[0]
+    return (int(i[touching[0]]), int(j[touching[0]])) if len(touching) else None
 
 
 def _turns(corners: np.ndarray) -> np.ndarray:

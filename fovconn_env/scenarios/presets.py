@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -137,7 +139,8 @@ def scenario(
     """A preset by id (with or without "fovconn/"), at a level of `LEVELS`, or a `Scenario`, with settings changed.
 
     One setting of a group goes by its dotted name: `scenario("LeaderFollow-v0", **{"camera.a_min": 0.5})`; a map and a
-    leader may be the name of a file (`Map.from_file`, `Recorded.from_file`).
+    leader may be the name of a file (`Map.from_file`, `Recorded.from_file`), or a mapping of their arguments with the
+    name under "file": `map={"file": "plan.svg", "strokes": True, "scale": 0.02}`.
     Raises `SettingError` for an unknown id, setting or level, naming the nearest ones there are; for a setting it is a
     `TypeError`, too.
     """
@@ -157,6 +160,8 @@ def scenario(
         file = changes.get(name)
         if isinstance(file, (str, Path)) and Path(file).suffix:  # another word is Scenario's to refuse
             changes[name] = kind.from_file(file)
+        elif isinstance(file, Mapping) and "file" in file:
+            changes[name] = _from_file(name, kind, file)
     inner: dict[str, dict[str, Any]] = {}
     for name in [name for name in changes if "." in name]:
         group, _, field_name = name.partition(".")
@@ -168,6 +173,17 @@ def scenario(
         check_group(group, whole)
         changes[group] = _replace(whole, part)
     return _replace(base, changes)
+
+
+def _from_file(name: str, kind: Any, words: Mapping[str, Any]) -> Any:
+    """A map or leader of a file, with the arguments of its `from_file`."""
+    known = list(inspect.signature(kind.from_file).parameters)[1:]
+    arguments = {word: value for word, value in words.items() if word != "file"}
+    for word in arguments:
+        if word not in known:
+            raise unknown_keyword(f"{name} of a file", str(word), closest(word, tuple(known)))
+    rule(isinstance(words["file"], (str, Path)), f"{name}: file", "a name", words["file"], "of a file")
+    return kind.from_file(words["file"], **arguments)
 
 
 def _replace(settings: Any, changes: dict[str, Any]) -> Any:

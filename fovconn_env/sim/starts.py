@@ -21,7 +21,9 @@ from fovconn_env.scenarios.settings import FAULTS
 from fovconn_env.sim.memory import NO_ACTIONS, allocate, clear, place, scratch
 
 MAX_TRIES = 2000  # starts drawn before giving up
+FEW_TRIES = 20  # starts drawn before asking whether the map leaves room at all
 MAX_MAPS = 20  # random maps drawn before giving up
+ROOM_QUERIES = 200_000  # distances between cells of the start box and pieces that `check_room` asks for
 MARGIN = 3.0  # m, obstacles reach this far beyond starts and way points
 NO_OBSTACLES = (np.zeros(0, records.PIECE), np.zeros((0, 2)))  # pieces, vertices
 
@@ -100,7 +102,9 @@ class StartSampler:
         (x, y, z), n = self.scenario.start.box, self.scenario.n_agents
         low, high = max(-z / 2, self.scenario.heights[0]), min(z / 2, self.scenario.heights[1])
         sides = np.array([x * math.sqrt(n / 6), y * math.sqrt(n / 6), high - low])
-        for _ in range(MAX_TRIES):
+        for k in range(MAX_TRIES):
+            if k == FEW_TRIES and obstacles is not None:
+                check_room(sides, (low + high) / 2, obstacles, self.scenario)
             poses = np.empty((n, 4))
             poses[:, :3] = (rng.random((n, 3)) - 0.5) * sides + [0.0, 0.0, (low + high) / 2]
             poses[:, 3] = rng.uniform(-np.pi, np.pi, n)
@@ -253,3 +257,30 @@ def check_clearance(poses: np.ndarray, obstacles: Map | None, scenario: Scenario
                 f"poses must keep {scenario.collision_obstacle:g} m from {what}, got {distance.min():.3g} m for "
                 f"uav_{distance.argmin()}: nearer counts as a collision"
             )
+
+
+def check_room(sides: np.ndarray, middle: float, obstacles: Map, scenario: Scenario) -> None:
+    """Raise `SettingError` if obstacles leave so little of the start box free that no draw can find a start.
+
+    sides (3,) of the box, m; middle, m, its height. A cell of the box counts as covered if all its points are nearer to
+    an obstacle than `Start.clearance`, so the free share is never underrated.
+    """
+    clearance, n = scenario.start.clearance, scenario.n_agents
+    n_cells = min(max(ROOM_QUERIES // max(len(obstacles.space.shapes), 1), 8), 1000)
+    counts = np.maximum(1, np.round(sides / np.cbrt(np.prod(sides) / n_cells))).astype(int)
+    axes = [(np.arange(count) + 0.5) / count - 0.5 for count in counts]
+    cells = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3) * sides + [0.0, 0.0, middle]
+    distance, nearest = obstacles.nearest(cells)
+    covered = distance + np.linalg.norm(sides / counts) / 2 < clearance
+    free = 1.0 - covered.mean()
+    if MAX_TRIES * free**n > 1e-9:
+        return
+    numbers, cells_of = np.unique(nearest[covered], return_counts=True)
+    names = numbers[np.argsort(-cells_of, kind="stable")].tolist()
+    listed = ", ".join(map(str, names[:5])) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+    cover = f"obstacle {listed} covers" if len(names) == 1 else f"obstacles {listed} cover"
+    left = f"none: {cover} the start box" if free == 0.0 else f"{free:.0%} of the start box at most: {cover} the rest"
+    raise SettingError(
+        f"Start.box must have room for {n} robots, {clearance:g} m from obstacles, got {left}; "
+        "starts are drawn about (0, 0): move or take out the obstacle, or lower Start.clearance"
+    )

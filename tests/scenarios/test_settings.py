@@ -284,7 +284,7 @@ def test_settings_are_frozen_and_keyword_only(kind):
 def test_obstacles_that_leave_no_room():
     crowded = Map().circle((0.0, 0.0), 30.0)
     simulator = Simulator(small(map=crowded))
-    with pytest.raises(ValueError, match=r"Start must .* found no start .*: enlarge Start.box"):
+    with pytest.raises(ValueError, match=r"Start.box must have room .* obstacle 0 covers the start box"):
         simulator.reset(1)
     with pytest.raises(ValueError, match=r"Forest found no room|Start must"):
         Simulator(small("LeaderObstacles-v0", map=Forest(n_pillars=400))).reset(1)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fovconn_env import Corridor, Course, Fault, Forest, Map, Radio, Simulator, Start, scenario
+from fovconn_env.errors import SettingError
 from fovconn_env.kernel.records import FAULT
 from fovconn_env.maps import forest as forest_module
 from fovconn_env.sim import starts
@@ -203,7 +204,8 @@ def test_ten_thousand_starts_keep_their_distances():
     [
         ({"start.lambda2_low": 5.9}, KNOWN[0]),
         ({"start.spacing": 8.0}, KNOWN[0]),
-        ({"map": Map().circle((0, 0), 9)}, KNOWN[0]),
+        ({"map": Map().circle((0, 0), 9)}, "obstacle 0 covers the start box"),
+        ({"map": Map().circle((90, 0), 1).circle((0, 0), 99, high=-1.4)}, KNOWN[0]),
         ({"map": Forest(n_pillars=60)}, KNOWN[1]),
         ({"map": Forest(), "start.clearance": 9.0}, KNOWN[1]),
         ({"map": RING, "course.leg": 12.0, "start.box": (6.0, 6.0, 1.0)}, KNOWN[2]),
@@ -215,6 +217,43 @@ def test_what_leaves_no_room_ends_soon(changes, message, monkeypatch):
     with pytest.raises(ValueError, match=message):
         starts.StartSampler(task).draw(counting)
     assert counting.count <= most_draws(task)
+
+
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        ({"map": Map().circle((90, 0), 1).circle((0, 0), 9)}, r"got none: obstacle 1 covers the start box; starts are"),
+        (
+            {"map": Map().circle((-9, 0), 9).circle((9, 0), 9), "start.box": (8, 2, 2)},
+            "obstacles 0, 1 cover the start box",
+        ),
+        (
+            {"map": Map().circle((-40, 0), 39), "n_agents": 100},
+            r"got \d+% of the start box at most: obstacle 0 covers the",
+        ),
+        ({"map": Map().polygon([(-40, -40), (40, -40), (40, 40), (-40, 40)], low=-9, high=1.9)}, "obstacle 0 covers"),
+    ],
+)
+def test_a_map_without_room_is_named_after_a_few_draws(changes, message):
+    task, counting = scenario(**changes), Counting(0)
+    with pytest.raises(SettingError, match="Start.box must have room for .*" + message):
+        starts.StartSampler(task).draw(counting)
+    assert counting.count <= 2 * starts.FEW_TRIES
+
+
+def test_what_leaves_room_is_never_called_full():
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        obstacles = Map()
+        for center in rng.uniform(-9, 9, (rng.integers(1, 9), 2)):
+            obstacles.circle(center, rng.uniform(0.2, 5), high=rng.uniform(-2, 3))
+        task, sides = scenario(n_agents=2, map=obstacles), np.array([4.0, 4.0, 2.0])
+        points = (rng.random((2000, 3)) - 0.5) * sides
+        free = (obstacles.clearance(points) >= task.start.clearance).mean()
+        try:
+            starts.check_room(sides, 0.0, obstacles, task)
+        except SettingError:
+            assert free == 0.0
 
 
 # ------------------------------------------------------------------------------------------------- floor and ceiling

@@ -94,7 +94,8 @@ def test_a_map_without_room_is_drawn_all_the_same(fovconn):
     Map().circle((0, 0), 7).to_file("full.json")
     shown = fovconn("figures", "--map", "full.json", "--scenario", "LeaderFollow-v0", "--out", "drawn")
     assert shown.status == 0
-    assert "not all starts are drawn: seed 0: Start must allow lambda2" in shown.out
+    assert "not all starts are drawn: seed 0: Start.box must have room for 6 robots" in shown.out
+    assert "obstacle 0 covers the start box" in shown.out
     assert Path("drawn/map_full.png").is_file()
     plain = fovconn("figures", "--map", "full.json")
     assert plain.out == "wrote out/figures/map_full.png\n"

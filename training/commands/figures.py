@@ -10,6 +10,8 @@ import typer
 from fovconn_env.errors import SettingError
 from fovconn_env.flights.flight import Film
 from fovconn_env.flights.recording import play_back
+from fovconn_env.maps.obstacles import Map
+from fovconn_env.maps.report import MapReport
 from fovconn_env.training.commands.campaigns import fly_all
 from fovconn_env.training.commands.options import (
     OUT,
@@ -39,6 +41,13 @@ def command(
     map_file: Annotated[
         Path | None, typer.Option("--map", metavar="FILE", help="A map, .json or .svg, from above.")
     ] = None,
+    strokes: Annotated[
+        bool, typer.Option("--strokes", help="With --map: take an .svg as it is painted, lines as walls.")
+    ] = False,
+    scale: Annotated[float, typer.Option(metavar="METRES", help="With --map: length of a user unit of an .svg.")] = 1.0,
+    origin: Annotated[
+        str | None, typer.Option(metavar="X,Y", help="With --map: point of an .svg that becomes (0, 0).")
+    ] = None,
     scenario_name: Annotated[
         str | None, typer.Option("--scenario", help="With --map: draw starts of this scenario, too.")
     ] = None,
@@ -61,13 +70,22 @@ def command(
         raise SettingError(f"--scenario must come with --map, got {scenario_name!r}: what is flown has its own")
     if settings and map_file is None:
         raise SettingError(f"--set must come with --map, got {settings[0]!r}: what is flown has its own")
+    if map_file is None and (strokes or scale != 1.0 or origin is not None):
+        raise SettingError(
+            "--strokes, --scale and --origin must come with --map, got them without: they read a drawing"
+        )
     check_installed("figures")
     check_folder(folder)
     check_writable({"--json": json_file})
     if recording is not None:
         _draw_flight(recording, folder, force)
     elif map_file is not None:
-        _draw_map(map_file, folder, scenario_name, parse_seeds(seeds or "0-7"), parse(settings))
+        given = {"scale": scale, "strokes": strokes, "origin": _point(origin)}
+        report = Map.inspect_file(map_file, **given)
+        _draw_map(report, map_file.name, folder, scenario_name, parse_seeds(seeds or "0-7"), parse(settings))
+        if json_file is not None:
+            Map.from_file(map_file, **given).to_file(json_file)
+            say_written([json_file])
     else:
         _draw_ablations(folder, seeds or "0-127", processes, fresh, json_file)
 
@@ -85,10 +103,23 @@ def _draw_flight(file: Path, folder: Path, force: bool) -> None:
     say_written(pictures)
 
 
-def _draw_map(file: Path, folder: Path, scenario_name: str | None, seeds: list[int], changes: dict[str, Any]) -> None:
+def _point(text: str | None) -> tuple[float, float]:
+    """A point of a drawing, x,y; (0, 0) for none."""
+    try:
+        x, y = map(float, (text or "0,0").split(","))
+    except ValueError:
+        raise SettingError(f"--origin must be X,Y, got {text!r}: for example --origin 250,120") from None
+    return x, y
+
+
+def _draw_map(
+    report: MapReport, name: str, folder: Path, scenario_name: str | None, seeds: list[int], changes: dict[str, Any]
+) -> None:
     from fovconn_env.training.evaluation.map_preview import preview
 
-    picture, problem = preview(file, folder, scenario_name, seeds, changes)
+    picture, problem = preview(report, name, folder, scenario_name, seeds, changes)
+    if report.left_out or report.refused:
+        out.print(str(report), highlight=False, soft_wrap=True, markup=False)
     if problem:
         out.print(f"not all starts are drawn: {problem}", style="yellow", highlight=False, soft_wrap=True, markup=False)
     say_written([picture])

@@ -8,28 +8,28 @@ from typing import Any
 
 import numpy as np
 
-from fovconn_env import Map, Scenario, Simulator, scenario
+from fovconn_env import Scenario, Simulator, scenario
 from fovconn_env.errors import SettingError
+from fovconn_env.maps.report import MapReport
 
 
 def preview(
-    file: Path, folder: Path, base: str | None, seeds: Sequence[int], changes: Mapping[str, Any]
+    report: MapReport, name: str, folder: Path, base: str | None, seeds: Sequence[int], changes: Mapping[str, Any]
 ) -> tuple[Path, str]:
-    """Draw a map to a PNG in a folder; returns its path, and why starts are missing, "" if none are.
+    """Draw what is understood of a map to a PNG in a folder; returns its path, and why starts are missing, if some are.
 
-    base: id of the scenario whose starts are drawn, from these seeds; without it only its map, clearance and box.
-    changes: settings of the scenario by name.
+    name: of the map's file. base: id of the scenario whose starts are drawn, from these seeds; without it only its map,
+    clearance and box. changes: settings of the scenario by name.
     """
     from fovconn_env.render.figures.plan import draw_plan
     from fovconn_env.render.figures.style import save
 
-    settings: dict[str, Any] = {**changes, "map": file, "warmup": 0.0}
+    settings: dict[str, Any] = {**changes, "map": report.map, "warmup": 0.0}
     chosen = scenario(base or "LeaderFollow-v0", **settings)
-    assert isinstance(chosen.map, Map)
     starts, problem = _starts(chosen, seeds) if base is not None else ([], "")
     folder.mkdir(parents=True, exist_ok=True)
-    title = file.name if base is None else f"{file.name}, starts of {chosen.name}"
-    return save(draw_plan(chosen.map, chosen, starts, title), folder / f"map_{file.stem}.png"), problem
+    title = name if base is None else f"{name}, starts of {chosen.name}"
+    return save(draw_plan(report.map, chosen, starts, title), folder / f"map_{Path(name).stem}.png"), problem
 
 
 def _starts(chosen: Scenario, seeds: Sequence[int]) -> tuple[list[tuple[np.ndarray, np.ndarray]], str]:
