@@ -6,14 +6,14 @@ import copy
 import copyreg
 import functools
 from abc import ABCMeta, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from operator import attrgetter
-from types import ModuleType
 from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from fovconn_env.baselines.undeclared import changed, snapshot
 from fovconn_env.errors import SettingError, SettingTypeError, closest, is_users, rule
 from fovconn_env.layout import Rows, rows
 from fovconn_env.scenarios import presets
@@ -47,6 +47,7 @@ class Policy(metaclass=PolicyType):
     has_memory: ClassVar[bool] = False  # becomes True in a subclass that implements `reset`
 
     _trusted: ClassVar[bool] = True  # of this package, so that what it declares is right
+    _robots: Mapping[str, Any] = {}  # a copy of the policy for each robot called by name
     _n_rows = 0  # rows of the stacks since the last reset; 0 before the first
 
     def __init__(self, scenario: Scenario) -> None:
@@ -56,7 +57,6 @@ class Policy(metaclass=PolicyType):
             value = attrgetter(name)(scenario)
             rule(value == wanted, f"Scenario.{name}", f"{wanted!r} for {type(self).__name__}", value, hint)
         self.scenario = scenario
-        self._robots: dict[str, Self] = {}  # a copy of the policy for each robot called by name
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -96,11 +96,11 @@ class Policy(metaclass=PolicyType):
             self._robots, self._n_rows = {}, 0
             return
         chosen = np.ravel(np.asarray(mask, bool))
-        count = len(self.scenario.agents) if self._robots else self._n_rows or len(chosen)
+        agents = self._agents() if self._robots else []
+        count = len(agents) or self._n_rows or len(chosen)
         rule(len(chosen) == count, "mask", f"{count} bools", len(chosen), "one a robot, in the order of the rows")
-        for agent, forgets in zip(self.scenario.agents if self._robots else (), chosen, strict=False):
-            if forgets:
-                self._robots.pop(agent, None)
+        gone = {agent for agent, forgets in zip(agents, chosen, strict=False) if forgets}
+        self._robots = {agent: robot for agent, robot in self._robots.items() if agent not in gone}
 
     def act(self, observation: Observation, agent: str | None = None) -> np.ndarray:
         """Actions, float32 shares in [-1, 1], for one observation, (4,), or for a stack of them, (..., 4).
@@ -144,11 +144,11 @@ class Policy(metaclass=PolicyType):
         if self._n_rows:
             raise SettingError(_ONE_WAY.format(f"agent={agent!r} after a stack"))
         if agent not in self._robots:
-            agents = self.scenario.agents
+            agents = self._agents()
             rule(agent in agents, "agent", "a robot of the scenario", agent, closest(agent, agents))
             shared: dict[int, Any] = {id(self.scenario): self.scenario, id(self._robots): {}}
             try:
-                self._robots[agent] = copy.deepcopy(self, shared)
+                self._robots = {**self._robots, agent: copy.deepcopy(self, shared)}
             except Exception as problem:  # an open file, a lock, a session of another library
                 hint = "implement __deepcopy__, or pass the observations of the whole team as a stack"
                 got = f"{type(problem).__name__}: {problem}"
@@ -159,7 +159,7 @@ class Policy(metaclass=PolicyType):
 
     def _check_rows(self, flat: np.ndarray) -> None:
         """Raise `SettingError` unless a stack holds the rows of the stacks before it, of whole teams."""
-        name, n_agents, n_rows = type(self).__name__, self.scenario.n_agents, flat.size // max(flat.shape[-1], 1)
+        name, n_agents, n_rows = type(self).__name__, len(self._agents()), flat.size // max(flat.shape[-1], 1)
         if flat.ndim == 1 and n_agents > 1:
             hint = f"write policy.act(observation, agent=name), since {name} has a memory for each robot"
             raise SettingError(f"agent must be the robot's name for one observation, got None: {hint}")
@@ -173,25 +173,19 @@ class Policy(metaclass=PolicyType):
 
     def _act_alone(self, flat: np.ndarray) -> np.ndarray:
         """Act for a robot without a name; `SettingError` if that shows a memory that the class does not declare."""
-        before = dict(_attributes(self))
+        before = snapshot(self)
         actions = self._act(flat)
-        after = dict(_attributes(self))
-        changed = [name for name, value in before.items() if value is not None and after.get(name) is not value]
-        if changed:
+        if name := changed(before, snapshot(self)):
             hint = "then write policy.act(observation, agent=name), and implement reset()"
-            name = f"{type(self).__name__}.{changed[0]}"
+            name = f"{type(self).__name__}.{name}"
             raise SettingError(f"{name} must stay as it is in decide, got another value: is it a memory? {hint}")
         return actions
 
-
-def _attributes(thing: Any, depth: int = 3) -> Iterator[tuple[str, Any]]:
-    """Names and values of an object's attributes, with those of the policies and users' objects among them."""
-    for name, value in getattr(thing, "__dict__", {}).items():
-        yield name, value
-        if isinstance(value, (type, ModuleType)) or depth == 1:
-            continue
-        if isinstance(value, Policy) or is_users(type(value).__module__):
-            yield from ((f"{name}.{below}", each) for below, each in _attributes(value, depth - 1))
+    def _agents(self) -> list[str]:
+        if "scenario" not in vars(self):
+            name = f"{type(self).__name__}.__init__"
+            raise SettingTypeError(f"{name} must call super().__init__(scenario), got no call: it keeps the scenario")
+        return self.scenario.agents
 
 
 def _with_robots(forget: Callable[..., None]) -> Callable[..., None]:

@@ -253,4 +253,4 @@ def test_no_file_of_a_stranger_breaks_anything(tmp_path):
         else:
             flown += 1
             assert np.isfinite(actions).all(), (k, mutate.__name__)
-    assert refused > 10 * flown > 0
+    assert refused > flown > 0

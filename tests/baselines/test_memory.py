@@ -233,26 +233,79 @@ def test_what_would_mix_memories_is_refused(name):
 
 
 class Hidden(Policy):
-    """A memory that the class does not declare."""
+    """A memory that the class does not declare, kept in another way in each subclass."""
 
     def __init__(self, scenario):
         super().__init__(scenario)
-        self.last = np.zeros(4, np.float32)
+        self.last, self.history, self.helper, self.later = np.zeros(4, np.float32), [], Helper(), None
+        self.count, self.law = 0, POLICIES["expert"](scenario)
 
     def decide(self, flat):
-        self.last = self.last + np.float32(0.1)
-        return np.tile(self.last, (len(flat), 1))
+        self.later = self.later or np.float32(0.5)  # made when first needed: no memory
+        self.keep()
+        value = self.last[0] + self.count / 8 + len(self.history) / 8 + self.helper.count / 8
+        return np.full((len(flat), 4), value * self.later, np.float32)
 
 
-def test_a_memory_that_is_not_declared_is_noticed():
-    chosen = small()
-    row = np.zeros(chosen.observation_size)
-    for kind in (Hidden, safe(Hidden)):
-        with pytest.raises(ValueError, match=r"last must stay as it is in decide, got another value: is it a memory\?"):
-            kind(chosen).act(row)
-        policy = kind(chosen)
+class Helper:
+    count = 0
+
+    def __init__(self):
+        self.count = 0
+
+
+HIDDEN = {
+    "last": lambda self: setattr(self, "last", self.last + np.float32(0.1)),
+    "last in place": lambda self: self.last.__iadd__(np.float32(0.1)),
+    "history": lambda self: self.history.append(1),
+    "count": lambda self: setattr(self, "count", self.count + 1),
+    "helper.count": lambda self: setattr(self.helper, "count", self.helper.count + 1),
+}
+
+
+@pytest.mark.parametrize("how", HIDDEN)
+def test_a_memory_that_is_not_declared_is_noticed(how):
+    kind, chosen = type("Hiding", (Hidden,), {"keep": HIDDEN[how]}), small()
+    row, name = np.zeros(chosen.observation_size), how.partition(" ")[0]
+    for each in (kind, safe(kind)):
+        with pytest.raises(ValueError, match=rf"\.{name} must stay as it is in decide, got .*: is it a memory\?"):
+            each(chosen).act(row)
+        policy = each(chosen)
         first, second = policy.act(row, agent="uav_0"), policy.act(row, agent="uav_1")
-        assert first.tobytes() == second.tobytes()
+        assert first.tobytes() == second.tobytes() != policy.act(row, agent="uav_0").tobytes()
+
+
+class Around(Policy):
+    """A law around another policy, of which it forgets to reset the memory."""
+
+    def __init__(self, scenario):
+        super().__init__(scenario)
+        self.inner, self.nothing = load_policy(self.name, scenario), float("nan")
+
+    def decide(self, flat):
+        return self.inner.decide(flat) / 2
+
+
+def test_a_policy_that_keeps_nothing_needs_no_name():
+    plain = type("Plain", (Hidden,), {"keep": lambda self: None})
+    for kind in (plain, *(type("Half", (Around,), {"name": name}) for name in ("dagger", "residual", "springs"))):
+        policy = kind(small())
+        for _ in range(3):
+            policy.act(np.zeros(policy.scenario.observation_size))
+    policy = type("Half", (Around,), {"name": "recovery"})(small())
+    with pytest.raises(ValueError, match=r"Half\.inner\._memory must stay as it is in decide"):
+        policy.act(np.zeros(policy.scenario.observation_size))
+
+
+def test_a_policy_that_does_not_call_its_base_class_says_so():
+    class Bare(Smooth):
+        def __init__(self, scenario):
+            self.law, self.mean = POLICIES["zero"](scenario), None
+
+    row = np.zeros(small().observation_size)
+    for options in ({}, {"agent": "uav_0"}):
+        with pytest.raises(ValueError, match=r"Bare\.__init__ must call super\(\)\.__init__\(scenario\)"):
+            Bare(small()).act(row, **options)
 
 
 def test_a_policy_that_cannot_be_copied_flies_stacks_alone():
