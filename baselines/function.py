@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
 from fovconn_env.baselines.policy import Policy, make_class
 from fovconn_env.scenarios.scenario import Scenario
@@ -17,11 +18,17 @@ Function = Callable[[np.ndarray], np.ndarray]
 class FunctionPolicy(Policy):
     """A function that maps flat observations (R, D) to actions (R, 4), as `Policy.decide` does."""
 
+    has_memory = False  # of each robot: an object that is called may count steps
     original: ClassVar[tuple[Function]]  # in a tuple, so that it does not become a method
 
     def __init__(self, scenario: Scenario) -> None:
         super().__init__(scenario)
         (self.function,) = copy.deepcopy(self.original)  # an object that can be called may keep something
+
+    def reset(self, mask: npt.ArrayLike | None = None) -> None:
+        """Start with the object as it was given; with a mask nothing changes, since it knows no robots."""
+        if mask is None:
+            (self.function,) = copy.deepcopy(self.original)
 
     def decide(self, flat: np.ndarray) -> np.ndarray:
         """Actions (R, 4) for flat observations (R, D)."""

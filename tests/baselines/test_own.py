@@ -186,6 +186,10 @@ def test_an_object_that_is_called_starts_anew_with_each_policy():
 
     counter = Counter()
     assert gain(counter) == gain(counter) == 1 / 8
+    policy, team = load_policy(counter, small()), np.zeros((4, small().observation_size))
+    for _ in range(2):
+        policy.reset()
+        assert [policy.act(team)[0, 0] for _ in range(2)] == [1 / 8, 2 / 8]
 
 
 def test_functions_and_files_are_evaluated(write):
