@@ -10,18 +10,19 @@ from fovconn_env.errors import rule
 from fovconn_env.fields import check_array, check_texts, check_whole
 from fovconn_env.flights.state_hash import FORMATS
 from fovconn_env.scenarios.params import SWITCHES
+from fovconn_env.sim.seeds import MAX_SEED
 
 OUTCOMES = ("success", "collision", "disconnected", "time", "unfinished")
 _LEADERS = (*SWITCHES["leader"], "recorded")
 _DIGITS = 64  # of a SHA-256
-_MOST_SEED = 2**128  # numpy takes more, but nobody draws them
+_MOST_VERSIONS = 64
 
 
 def check_recording(recording: Any) -> None:
     """Check a `Recording`, whose module imports this one."""
     task, n = recording.scenario, recording.scenario.n_agents
     rule(recording.starts.n_agents == n, "starts.n_agents", f"{n}", recording.starts.n_agents, "one team flies")
-    check_whole("seed", recording.seed, 0, _MOST_SEED, "of the episode")
+    check_whole("seed", recording.seed, 0, MAX_SEED, "of the episode")
     check_array("actions", recording.actions, "f8", (-1, n, 4))
     steps = len(recording.actions)
     rule(steps <= task.max_cycles, "actions", f"of at most {task.max_cycles} steps", steps, "Scenario.max_cycles")
@@ -40,6 +41,7 @@ def check_recording(recording: Any) -> None:
 def check_versions(versions: Any) -> None:
     """Versions must be texts by name."""
     rule(isinstance(versions, dict), "versions", "an object", type(versions).__name__, "a package and its version")
+    rule(len(versions) <= _MOST_VERSIONS, "versions", f"at most {_MOST_VERSIONS}", len(versions), "a flight has seven")
     check_texts("versions", [*versions, *versions.values()])
 
 

@@ -98,7 +98,8 @@ def from_archive(archive: Archive, path: str) -> Recording:
     except SettingError as problem:
         raise Damaged(f"{path} is damaged: {one_line(problem)}") from problem
     try:
-        scenarios = {name: scenario_from_json(header[name]) for name in ("scenario", "starts")}
+        task, same = scenario_from_json(header["scenario"]), header["starts"] == header["scenario"]
+        scenarios = {"scenario": task, "starts": task if same else scenario_from_json(header["starts"])}
     except SettingError as problem:
         other = _differences(header["versions"])
         if other:

@@ -14,10 +14,12 @@ import numpy as np
 
 from fovconn_env.errors import SettingError, rule
 from fovconn_env.maps.corridor import Corridor
+from fovconn_env.maps.files import MAX_CORNERS, MAX_OUTLINE
 from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map
 from fovconn_env.maps.outlines import Short
 from fovconn_env.scenarios import settings
+from fovconn_env.scenarios.checks import MAX_FAULTS
 from fovconn_env.scenarios.leader import Recorded
 from fovconn_env.scenarios.scenario import Scenario
 
@@ -82,6 +84,8 @@ def _built(value: Any) -> Any:
     for name in words:
         if name not in known:
             raise SettingError(f"{kind} has no setting {name!r}: is it of another fovconn_env?")
+    n_faults, hint = len(words["faults"]) if isinstance(words.get("faults"), list) else 0, "every tick looks at each"
+    rule(n_faults <= MAX_FAULTS, "Scenario.faults", f"at most {MAX_FAULTS}", n_faults, hint)
     return _KINDS[kind](**{name: _built(item) for name, item in words.items()})
 
 
@@ -91,7 +95,17 @@ def _map(words: Mapping[str, Any]) -> Map:
     lists = isinstance(obstacles, list) and all(isinstance(shapes, list) for shapes in obstacles)
     whole = list(words) == ["obstacles"] and lists
     rule(whole, "Map", "an object with a list 'obstacles'", Short(dict(words)), "each a list of shapes")
+    counts, hint = [_corners(call) for shapes in obstacles for call in shapes], "a map file has the same limits"
+    rule(max(counts, default=0) <= MAX_OUTLINE, "Map", f"of {MAX_OUTLINE} corners an outline", max(counts), hint)
+    rule(sum(counts) <= MAX_CORNERS, "Map", f"of at most {MAX_CORNERS} corners", sum(counts), hint)
     result = Map()
     for shapes in obstacles:
         result.obstacle(shapes)
     return result
+
+
+def _corners(call: Any) -> int:
+    """Corners of a shape in a record, which may be anything."""
+    arguments = call[-1] if isinstance(call, list) and call else None
+    outline = arguments.get("outline") if isinstance(arguments, Mapping) else None
+    return len(outline) if isinstance(outline, list) else 2

@@ -73,6 +73,8 @@ HEADERS = {
     "policies as text": (lambda h: h | {"policies": "abcd"}, "policies must be a list, got 'abcd'"),
     "versions as list": (lambda h: h | {"versions": []}, "versions must be an object"),
     "versions as numbers": (lambda h: h | {"versions": {"numpy": 2}}, "versions must be printable texts"),
+    "versions of all": (lambda h: h | {"versions": {str(k): "1" for k in range(99)}}, "versions must be at most 64"),
+    "faults": (settings(faults=[{"type": "Fault"}] * 1000), "Scenario.faults must be at most 256, got 1000"),
     "key gone": (lambda h: {key: value for key, value in h.items() if key != "seed"}, "an object with 'seed'"),
     "key more": (lambda h: h | {"play_back": "x"}, "header must be an object of known names, got 'play_back'"),
     "scenario a list": (lambda h: h | {"scenario": [1]}, "must be an object of type Scenario, got"),
@@ -92,6 +94,14 @@ HEADERS = {
     "substeps": (group("airframe", substep=1e-12), "Airframe.substep must be at least"),
     "time": (settings(max_cycles=10), "actions must be of at most 10 steps, got 12"),
     "starts of others": (lambda h: h | {"starts": h["starts"] | {"n_agents": 5}}, "starts.n_agents must be 4, got 5"),
+    "corners": (
+        settings(map={"type": "Map", "obstacles": [[["polygon", {"outline": [[k, k % 2] for k in range(1001)]}]]]}),
+        "Map must be of 1000 corners an outline, got 1001",
+    ),
+    "circles": (
+        settings(map={"type": "Map", "obstacles": [[["circle", {"center": [9, 9], "radius": 1}]]] * 10_001}),
+        "Map must be of at most 20000 corners, got 20002",
+    ),
     "method": (
         settings(map={"type": "Map", "obstacles": [[["to_file", {"path": "precious.json"}]]]}),
         "shape must be one of circle, wall, polygon",

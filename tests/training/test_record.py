@@ -100,10 +100,10 @@ NO_RECORDS = {
     "results": (lambda data: data | {"results": {}}, "results must be a list, got 'dict'"),
     "row": (lambda data: data | {"results": [None]}, r"results\[0\] must be an object"),
     "measures": (lambda data: changed_row(data, measures={"success": [1, 2]}), r"a number, or \[value, low, high\]"),
-    "measure": (lambda data: changed_row(data, measures={"success": "1"}), "must be numbers or null, got"),
+    "measure": (lambda data: changed_row(data, measures={"success": "1"}), "must be null or numbers"),
     "count": (lambda data: changed_row(data, count=1e9), "count must be a whole number"),
     "policy": (lambda data: changed_row(data, policy="\x1b[2J"), "must be printable texts"),
-    "episodes": (lambda data: changed_row(data, episodes={"success": [[1]]}), "must be numbers or null"),
+    "episodes": (lambda data: changed_row(data, episodes={"success": [[1]]}), "must be null or numbers"),
     "against": (lambda data: changed_row(data, against=[]), "against must be an object"),
 }
 

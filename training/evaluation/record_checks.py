@@ -9,7 +9,7 @@ from fovconn_env.fields import check_keys, check_texts, check_whole
 
 _HEAD = ("format", "study", "fovconn_env", "run", "seeds", "units", "policies", "results")
 _ROW = ("policy", "scenario", "settings", "count", "measures")
-_MOST = 2**63
+_MOST, _HUGE = 2**63, 1e300
 
 
 def check_record(data: Any, format: int) -> None:
@@ -62,8 +62,12 @@ def _check_measures(name: str, measures: Any) -> None:
 
 
 def _check_numbers(name: str, values: list[Any]) -> None:
-    odd = [value for value in values if value is not None and type(value) not in (int, float)]
-    rule(not odd, name, "numbers or null", odd[:1], "null is NaN")
+    odd = [type(value).__name__ for value in values if value is not None and not _is_number(value)]
+    rule(not odd, name, f"null or numbers below {_HUGE:g}", odd[:1], "null is NaN")
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and abs(value) < _HUGE
 
 
 def _check_object(name: str, value: Any) -> None:
