@@ -126,7 +126,7 @@ def test_feed_forward_fills_up_to_the_stick_and_no_more():
 @pytest.mark.nojit
 def test_share_must_be_below_one():
     for kind in (Gains, AugmentedGains):
-        with pytest.raises(ValueError, match=r"Gains\.forward must be below 1, got 1\.0: .* drifts"):
+        with pytest.raises(ValueError, match=r"Gains\.forward must be at most 0\.999, got 1\.0: .* drifts"):
             kind(forward=1.0)
         with pytest.raises(ValueError, match=r"Gains\.forward must be at least 0, got -0\.1"):
             kind(forward=-0.1)
