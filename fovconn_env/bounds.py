@@ -123,17 +123,20 @@ def checked_number(name: str, value: Any, bounds: Bounds, says: str = "a number"
         return exact
     rule(bounds.whole or math.isfinite(exact), name, "finite", value, "nothing can be computed with it")
     above, within = exact > bounds.least if bounds.above else exact >= bounds.least, exact <= bounds.most
-    rule(above and within, name, bounds.broken(exact), value, bounds.why)
+    if not (above and within):
+        rule(False, name, bounds.broken(exact), value, bounds.why)
     return exact
 
 
 def _as_float(value: Any) -> float:
+    most = sys.float_info.max
     try:
-        return float(value)
+        number = float(value)
     except OverflowError:  # an integer that no float holds
-        return sys.float_info.max if value > 0 else -sys.float_info.max
+        return math.copysign(most, 1 if value > 0 else -1)
     except ValueError:  # a signalling NaN
         return math.nan
+    return math.copysign(most, number) if math.isinf(number) and value != number else number
 
 
 def _checked_vector(name: str, value: Any, size: int, bounds: Bounds) -> tuple[float, ...]:

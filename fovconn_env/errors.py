@@ -127,7 +127,7 @@ class _OneLine(reprlib.Repr):
         if isinstance(x, np.generic):
             x = x.item()
         if isinstance(x, int) and abs(x) >= 10**40:  # Python writes no integer of more than 4300 digits
-            return f"a whole number of about {round(x.bit_length() * math.log10(2))} digits"
+            return f"a whole number of about {math.ceil(x.bit_length() * math.log10(2))} digits"
         return super().repr1(x, level)
 
 

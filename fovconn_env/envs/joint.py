@@ -12,9 +12,10 @@ from gymnasium import spaces
 
 from fovconn_env import layout
 from fovconn_env.envs.options import read_options
+from fovconn_env.envs.spec import PlainSpec
 from fovconn_env.envs.viewer import RENDER_MODES, Viewer, render_metadata
 from fovconn_env.errors import SettingError, as_numbers
-from fovconn_env.scenarios.keywords import Settings, check_keywords
+from fovconn_env.scenarios.keywords import Part, Settings, check_keywords
 from fovconn_env.scenarios.presets import scenario
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.graph import Graph
@@ -31,7 +32,7 @@ def joint_spaces(simulator: Simulator) -> tuple[spaces.Box, spaces.Box]:
     return spaces.Box(low, high), spaces.Box(-1.0, 1.0, (n, len(layout.ACTION)))
 
 
-class JointEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+class JointEnv(PlainSpec, gymnasium.Env[np.ndarray, np.ndarray]):
     """One world as a Gymnasium environment: observation (N, D) float32, action (N, 4), reward the robots' mean.
 
     infos: the team's numbers as floats, the robots' as arrays (N,); keys are those of `layout.INFO`. The robots' own
@@ -42,7 +43,7 @@ class JointEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def __init__(
         self,
-        base: str | Scenario = "LeaderFollow-v0",
+        base: str | Scenario | Part = "LeaderFollow-v0",
         *,
         render_mode: str | None = None,
         **settings: Unpack[Settings],

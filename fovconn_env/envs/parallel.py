@@ -18,7 +18,7 @@ from fovconn_env import layout
 from fovconn_env.envs.options import read_options
 from fovconn_env.envs.viewer import RENDER_MODES, Viewer, render_metadata
 from fovconn_env.errors import SettingError, as_numbers
-from fovconn_env.scenarios.keywords import Settings, check_keywords
+from fovconn_env.scenarios.keywords import Part, Settings, check_keywords
 from fovconn_env.scenarios.presets import scenario
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.graph import Graph
@@ -44,7 +44,7 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
     @overload
     def __init__(
         self: ParallelEnv[Parts],
-        base: str | Scenario = ...,
+        base: str | Scenario | Part = ...,
         /,
         *,
         render_mode: str | None = ...,
@@ -55,7 +55,7 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
     @overload
     def __init__(
         self: ParallelEnv[np.ndarray],
-        base: str | Scenario = ...,
+        base: str | Scenario | Part = ...,
         /,
         *,
         render_mode: str | None = ...,
@@ -66,7 +66,7 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
     @overload
     def __init__(
         self: ParallelEnv[Any],
-        base: str | Scenario = ...,
+        base: str | Scenario | Part = ...,
         /,
         *,
         render_mode: str | None = ...,
@@ -76,7 +76,7 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
 
     def __init__(
         self,
-        base: str | Scenario = "LeaderFollow-v0",
+        base: str | Scenario | Part = "LeaderFollow-v0",
         /,
         *,
         render_mode: str | None = None,
@@ -249,7 +249,7 @@ parallel_env = ParallelEnv
 
 
 def env(
-    base: str | Scenario = "LeaderFollow-v0",
+    base: str | Scenario | Part = "LeaderFollow-v0",
     /,
     *,
     render_mode: str | None = None,
@@ -262,7 +262,7 @@ def env(
 
 
 def raw_env(
-    base: str | Scenario = "LeaderFollow-v0",
+    base: str | Scenario | Part = "LeaderFollow-v0",
     /,
     *,
     render_mode: str | None = None,

@@ -15,20 +15,21 @@ from gymnasium.vector.utils import batch_space
 from fovconn_env import layout
 from fovconn_env.envs.joint import TEAM_KEYS, joint_spaces
 from fovconn_env.envs.options import read_options
+from fovconn_env.envs.spec import PlainSpec
 from fovconn_env.envs.viewer import Viewer, render_metadata
 from fovconn_env.envs.world import set_shared, worlds_of
 from fovconn_env.errors import SettingError, check_count, rule
-from fovconn_env.scenarios.keywords import Settings, check_keywords
+from fovconn_env.scenarios.keywords import Part, Settings, check_keywords
 from fovconn_env.scenarios.presets import scenario
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.graph import Graph
 from fovconn_env.sim.seeds import Seed, world_seeds
-from fovconn_env.sim.simulator import Simulator
+from fovconn_env.sim.simulator import MAX_WORLDS, Simulator
 
 OWN = "num_envs autoreset_mode render_mode robot_rewards max_episode_steps n_threads".split()
 
 
-class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+class VectorEnv(PlainSpec, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """`num_envs` worlds: observations (B, N, D) float32, actions (B, N, 4), rewards (B,), the means of the robots'.
 
     autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED, as `AutoresetMode` or its name or value. robot_rewards: rewards
@@ -39,7 +40,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def __init__(
         self,
-        base: str | Scenario = "LeaderFollow-v0",
+        base: str | Scenario | Part = "LeaderFollow-v0",
         *,
         num_envs: int = 1,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
@@ -54,7 +55,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.autoreset_mode = _parse_mode(autoreset_mode)
         self._viewer = Viewer(render_mode)
         self.render_mode = render_mode
-        check_count("num_envs", num_envs, "a batch holds worlds")
+        check_count("num_envs", num_envs, "a batch holds worlds", most=MAX_WORLDS)
         self.scenario = scenario(base, **settings)
         if max_episode_steps is not None:
             check_count("max_episode_steps", max_episode_steps, "it counts steps")

@@ -20,7 +20,6 @@ from fovconn_env.scenarios.settings import Fault
 from fovconn_env.scenarios.sizes import MAX_WORLD_BYTES, world_bytes
 
 NAME_LENGTH = 100  # characters
-MAX_FAULTS = 256
 MAX_WARM_TICKS = 60_000  # of a reset
 MAX_SUBSTEPS = 20_000  # of a step
 MAX_FLOODED = 128  # robots; each solves the eigenproblem of the whole team in every step
@@ -52,8 +51,8 @@ def check_words(scenario: Any) -> None:
             says, hint = f"at most stick_speed ({scenario.stick_speed:g})", "m/s; raise Scenario.stick_speed"
             rule(speed <= scenario.stick_speed * (1 + 1e-6), "Recorded.sticks", says, speed, hint)
             continue
-        known = isinstance(value, str) and value in words
-        rule(known, f"Scenario.{switch}", "one of " + ", ".join(words), value, closest(value, words))
+        if not (isinstance(value, str) and value in words):
+            rule(False, f"Scenario.{switch}", "one of " + ", ".join(words), value, closest(value, words))
 
 
 def check_team(scenario: Any) -> None:
@@ -102,7 +101,6 @@ def check_faults(scenario: Any) -> None:
     if not isinstance(faults, (tuple, list)) or not all(isinstance(fault, Fault) for fault in faults):
         hint = "write faults=(Fault(...),)"
         raise SettingTypeError(f"Scenario.faults must be a tuple of Faults, got {shown(faults)}: {hint}")
-    rule(len(faults) <= MAX_FAULTS, "Scenario.faults", f"at most {MAX_FAULTS}", len(faults), "every tick looks at each")
     for k, fault in enumerate(faults):
         inside, says = fault.robot is None or fault.robot < scenario.n_agents, f"in 0..{scenario.n_agents - 1}"
         rule(inside, f"Scenario.faults[{k}].robot", says, fault.robot, "robots are counted from 0")

@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from fovconn_env.errors import SettingError, as_numbers
+from fovconn_env.errors import SettingError, as_numbers, rule
 from fovconn_env.fields import check_array
 from fovconn_env.files import RECORDING, Damaged, one_line, read_archive
 from fovconn_env.text import printable
+
+MAX_STICKS = 10_000_000  # rows: a week at 0.05 s a step, 240 MB
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,12 +27,16 @@ class Recorded:
     sticks: np.ndarray
 
     def __post_init__(self) -> None:
-        sticks = as_numbers("Recorded.sticks", self.sticks).copy()
+        sticks = as_numbers("Recorded.sticks", self.sticks)
+        if sticks.shape == (0,):  # of an empty list
+            sticks = sticks.reshape(0, 3)
         if sticks.ndim != 2 or sticks.shape[1] != 3:
             raise SettingError(f"Recorded.sticks must have the shape (T, 3), got {sticks.shape}: m/s, one row a step")
+        rule(len(sticks) <= MAX_STICKS, "Recorded.sticks", f"at most {MAX_STICKS} rows", len(sticks), "one row a step")
         if not np.isfinite(sticks).all():
             row = int(np.argwhere(~np.isfinite(sticks))[0, 0])
             raise SettingError(f"Recorded.sticks must be finite, got {sticks[row].tolist()} in row {row}: m/s")
+        sticks = sticks.copy()
         sticks.flags.writeable = False
         object.__setattr__(self, "sticks", sticks)
 

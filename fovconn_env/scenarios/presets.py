@@ -11,13 +11,14 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from fovconn_env.errors import SettingError, SettingTypeError, closest, rule, unknown_keyword
+from fovconn_env.errors import SettingError, SettingTypeError, closest, rule, shown, unknown_keyword
 from fovconn_env.maps.corridor import Corridor
 from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map
-from fovconn_env.scenarios.keywords import ScenarioSettings
+from fovconn_env.scenarios.keywords import Part, ScenarioSettings
 from fovconn_env.scenarios.leader import Recorded
-from fovconn_env.scenarios.scenario import GROUPS, Scenario, check_group
+from fovconn_env.scenarios.reader import read_group, read_number
+from fovconn_env.scenarios.scenario import GROUPS, Scenario
 from fovconn_env.scenarios.settings import (
     Airframe,
     Camera,
@@ -134,13 +135,15 @@ LEVELS: dict[str, tuple[dict[str, Any], ...]] = {
 
 
 def scenario(
-    base: str | Scenario = "LeaderFollow-v0", /, *, level: int = 1, **settings: Unpack[ScenarioSettings]
+    base: str | Scenario | Part = "LeaderFollow-v0", /, *, level: int = 1, **settings: Unpack[ScenarioSettings]
 ) -> Scenario:
     """A preset by id (with or without "fovconn/"), at a level of `LEVELS`, or a `Scenario`, with settings changed.
 
     One setting of a group goes by its dotted name: `scenario("LeaderFollow-v0", **{"camera.a_min": 0.5})`; a map and a
     leader may be the name of a file (`Map.from_file`, `Recorded.from_file`), or a mapping of their arguments with the
-    name under "file": `map={"file": "plan.svg", "strokes": True, "scale": 0.02}`.
+    name under "file": `map={"file": "plan.svg", "strokes": True, "scale": 0.02}`. Settings may be plain data, as JSON
+    and YAML have them: a mapping stands for a Scenario, a group, a map, a fault or a recorded leader, a list for a
+    tuple.
     Raises `SettingError` for an unknown id, setting or level, naming the nearest ones there are; for a setting it is a
     `TypeError`, too.
     """
@@ -149,13 +152,17 @@ def scenario(
         name = base.removeprefix("fovconn/")
         if name not in PRESETS:
             raise SettingError(
-                f"scenario must be one of {', '.join(PRESETS)}, got {base!r}: {closest(name, tuple(PRESETS))}"
+                f"scenario must be one of {', '.join(PRESETS)}, got {shown(base)}: {closest(name, tuple(PRESETS))}"
             )
         base = _at_level(PRESETS[name], level)
-    elif not isinstance(base, Scenario):
-        raise SettingTypeError(f"scenario must be an id or a Scenario, got {base!r}")
-    elif level != 1:
-        raise SettingError(f"level must go with an id, got {level!r} with a Scenario: it has the settings of its level")
+    else:
+        if not isinstance(base, (Scenario, Mapping)):
+            hint = "scenario('LeaderFollow-v0')"
+            raise SettingTypeError(f"scenario must be an id, a Scenario or a mapping, got {shown(base)}: {hint}")
+        base = read_group(Scenario, base, "scenario")
+        if level != 1:
+            hint = "it has the settings of its level"
+            raise SettingError(f"level must go with an id, got {shown(level)} with a Scenario: {hint}")
     for name, kind in (("map", Map), ("leader", Recorded)):
         file = changes.get(name)
         if isinstance(file, (str, Path)) and Path(file).suffix:  # another word is Scenario's to refuse
@@ -169,9 +176,8 @@ def scenario(
             raise unknown_keyword("Scenario", name, closest(group, tuple(GROUPS)))
         inner.setdefault(group, {})[field_name] = changes.pop(name)
     for group, part in inner.items():
-        whole = changes.get(group, getattr(base, group))
-        check_group(group, whole)
-        changes[group] = _replace(whole, part)
+        whole = read_group(GROUPS[group], changes.get(group, getattr(base, group)), f"Scenario.{group}")
+        changes[group] = _replace(whole, {name: read_number(value) for name, value in part.items()})
     return _replace(base, changes)
 
 

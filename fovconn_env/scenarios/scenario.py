@@ -12,16 +12,18 @@ import numpy as np
 
 from fovconn_env import layout
 from fovconn_env.bounds import check_numbers, number, setting, settings_group
-from fovconn_env.errors import SettingTypeError, shown
 from fovconn_env.maps.corridor import Corridor
 from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map
-from fovconn_env.scenarios.checks import MAX_FAULTS, NAME_LENGTH, check_scenario
+from fovconn_env.scenarios.checks import NAME_LENGTH, check_scenario
 from fovconn_env.scenarios.leader import Recorded
 from fovconn_env.scenarios.params import pack
+from fovconn_env.scenarios.reader import read_faults, read_group, read_leader, read_map, read_number
 from fovconn_env.scenarios.settings import (
     LENGTH,
     MAX_AGENTS,
+    MAX_CYCLES,
+    MAX_FAULTS,
     Airframe,
     Camera,
     Clock,
@@ -62,7 +64,7 @@ class Scenario:
     stick_speed: float = number(1.0, 0.001, 100, "m/s", "five metres in a step of 0.05 s")
     max_neighbors: int = number(8, 1, MAX_AGENTS - 1, "rows of the observation", "there are no more neighbours")
     max_ranges: int = number(8, 1, 1024, "rows of the observation", "rows are sorted by insertion, and most are empty")
-    max_cycles: int = number(2400, 1, 10**9, "steps", "19 months of the default step")
+    max_cycles: int = number(2400, 1, MAX_CYCLES, "steps", "19 months of the default step")
     warmup: float = number(
         5.0, 0, 600, "s of estimation before an episode, bodies held", "the largest team's estimator takes 160 s"
     )
@@ -95,13 +97,14 @@ class Scenario:
     faults: tuple[Fault, ...] = setting((), f"what dies in an episode, see Fault; at most {MAX_FAULTS}")
 
     def __post_init__(self) -> None:
-        for name in GROUPS:
-            check_group(name, getattr(self, name))
+        values = {name: read_group(kind, getattr(self, name), f"Scenario.{name}") for name, kind in GROUPS.items()}
+        values |= {"leader": read_leader(self.leader), "faults": read_faults(self.faults)}
+        values["map"] = copy.copy(read_map(self.map))  # a Map can be added to, a scenario is frozen
+        for item in dataclasses.fields(self):
+            value = values.get(item.name, read_number(getattr(self, item.name)))
+            object.__setattr__(self, item.name, value)
         check_numbers(self)
         check_scenario(self)
-        object.__setattr__(self, "faults", tuple(self.faults))
-        if isinstance(self.map, Map):  # a Map can be added to, a scenario is frozen
-            object.__setattr__(self, "map", copy.copy(self.map))
 
     @property
     def step_time(self) -> float:
@@ -153,11 +156,3 @@ GROUPS: dict[str, type] = {
     for item in dataclasses.fields(Scenario)
     if isinstance(item.default_factory, type) and dataclasses.is_dataclass(item.default_factory)
 }
-
-
-def check_group(name: str, value: object) -> None:
-    """`SettingTypeError` unless a value is of the class of that group."""
-    kind = GROUPS[name]
-    if not isinstance(value, kind):
-        hint = f"write {name}={kind.__name__}(...)"
-        raise SettingTypeError(f"Scenario.{name} must be a {kind.__name__}, got {shown(value)}: {hint}")

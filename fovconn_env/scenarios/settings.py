@@ -27,6 +27,8 @@ from fovconn_env.errors import closest, is_whole, rule
 from fovconn_env.scenarios.airframe import Airframe as Airframe  # so that all groups are found here
 
 MAX_AGENTS = 256
+MAX_CYCLES = 10**9  # steps
+MAX_FAULTS = 256
 FOREVER = "eleven days are for ever"  # 1e6 s
 LENGTH = "a millimetre, and the 1000 m around the leader that the state shows"
 
@@ -280,8 +282,8 @@ class Fault:
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        known = isinstance(self.kind, str) and self.kind in FAULTS
-        rule(known, "Fault.kind", f"one of {', '.join(FAULTS)}", self.kind, closest(self.kind, FAULTS))
+        if not (isinstance(self.kind, str) and self.kind in FAULTS):
+            rule(False, "Fault.kind", f"one of {', '.join(FAULTS)}", self.kind, closest(self.kind, FAULTS))
         if self.robot is not None:
             whole, says = is_whole(self.robot), f"a whole number from 0 to {MAX_AGENTS - 1}, or None"
             rule(whole and 0 <= self.robot < MAX_AGENTS, "Fault.robot", says, self.robot, "None draws a follower")

@@ -16,6 +16,7 @@ from fovconn_env.kernel import records, step
 from fovconn_env.maps.corridor import Corridor
 from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map
+from fovconn_env.maps.outlines import FAR
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.scenarios.settings import FAULTS
 from fovconn_env.sim.memory import NO_ACTIONS, allocate, clear, place, scratch
@@ -199,6 +200,7 @@ def check_poses(poses: np.ndarray, scenario: Scenario) -> np.ndarray:
     if not np.isfinite(poses).all():
         robot = int(np.argwhere(~np.isfinite(poses))[0, 0])
         raise SettingError(f"poses must be finite, got {poses[robot].tolist()} for uav_{robot}: metres and radians")
+    rule(bool((abs(poses) <= FAR).all()), "poses", f"at most {FAR:g}", float(abs(poses).max()), "metres and radians")
     gap = np.linalg.norm(poses[:, None, :3] - poses[None, :, :3], axis=-1)
     gap[np.diag_indices(n)] = np.inf
     if gap.min() < scenario.collision_robot:
@@ -230,8 +232,9 @@ def check_start(start: EpisodeStart, scenario: Scenario) -> EpisodeStart:
     rule(
         inside, "pieces of a start", f"of its {len(vertices)} vertices (V, 2)", vertices.shape, "Map.flatten makes both"
     )
-    finite = bool(np.isfinite(waypoints).all() and np.isfinite(vertices).all())
-    rule(finite, "way points and vertices of a start", "finite", "NaN or infinity", "metres")
+    lengths = [waypoints, vertices, *(start.pieces[name] for name in ("radius", "low", "high"))]
+    finite = all((abs(length) <= FAR).all() for length in lengths)
+    rule(finite, "way points and obstacles of a start", f"finite, at most {FAR:g}", "others", "metres")
     robots, valid = start.faults["robot"], len(start.faults) in (0, len(scenario.faults))
     valid = valid and bool(((robots >= 0) & (robots < scenario.n_agents)).all())
     rule(

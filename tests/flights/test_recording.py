@@ -418,10 +418,10 @@ def test_settings_of_another_version_are_told(long, file, monkeypatch):
     strange = scenario_to_json(long.scenario) | {"warp": 9}
     monkeypatch.setattr("fovconn_env.flights.recording.scenario_to_json", lambda _: strange)
     dataclasses.replace(long, versions=long.versions | {"fovconn_env": "7.0"}).save(file)
-    with pytest.raises(OtherVersion, match=r"Scenario has no setting 'warp'.* It is of fovconn_env 7\.0 \(here"):
+    with pytest.raises(OtherVersion, match=r"unexpected keyword argument 'warp'.* It is of fovconn_env 7\.0 \(here"):
         load(file)
     long.save(file)
-    with pytest.raises(Damaged, match="Scenario has no setting 'warp'"):
+    with pytest.raises(Damaged, match=r"Scenario\(\) got an unexpected keyword argument 'warp'"):
         load(file)
 
 
@@ -531,16 +531,19 @@ def test_a_setting_that_is_gone_may_be_off():
 
 
 BAD_RECORDS = {
-    "type": (lambda r: r | {"type": "Scenery"}, "type must be one of Scenario, "),
-    "other type": (lambda r: r["camera"], "must be an object of type Scenario, got Camera"),
-    "setting": (lambda r: r | {"warp": 1}, "Scenario has no setting 'warp'"),
-    "inner": (lambda r: r | {"camera": r["camera"] | {"zoom": 1}}, "Camera has no setting 'zoom'"),
+    "type": (lambda r: r | {"type": "Scenery"}, "must be an object of type Scenario, got 'Scenery'"),
+    "other type": (lambda r: r["camera"], "must be an object of type Scenario, got 'Camera'"),
+    "setting": (lambda r: r | {"warp": 1}, r"Scenario\(\) got an unexpected keyword argument 'warp'"),
+    "inner": (
+        lambda r: r | {"camera": r["camera"] | {"zoom": 1}},
+        r"Camera\(\) got an unexpected keyword argument 'zoom'",
+    ),
     "gone": (
         lambda r: r | {"yaw": r["yaw"] | {"lag_free": True}},
         r"YawEstimator\.lag_free must be False, got True: the option was taken out in 0\.2\.0",
     ),
     "value": (lambda r: r | {"n_agents": 1}, "Scenario.n_agents must be at least 2, got 1"),
-    "list": (lambda r: [r], "must be an object of type Scenario, got tuple"),
+    "list": (lambda r: [r], "must be an object of type Scenario, got 'list'"),
 }
 
 

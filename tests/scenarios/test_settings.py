@@ -193,7 +193,7 @@ def test_rules_stand_on_the_fields():
 @pytest.mark.parametrize(
     "make, field",
     [
-        (lambda: scenario(camera={"a_min": 0.1}), "Scenario.camera"),
+        (lambda: scenario(camera=0.1), "Scenario.camera"),
         (lambda: scenario(map="forest"), "Scenario.map"),
         (lambda: scenario(speed_limit="fast"), "Scenario.speed_limit"),
         (lambda: scenario(speed_limit=None), "Scenario.speed_limit"),
