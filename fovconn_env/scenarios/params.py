@@ -67,7 +67,7 @@ def _values(scenario: Any) -> dict[str, Any]:
         if dataclasses.is_dataclass(item.default_factory):  # a group of settings
             prefix = f"{item.name}_" if item.name in PREFIXED else ""
             values |= _numbers(group, prefix)
-    return values | {f"power_{name}": gain for name, gain in scenario.power.scaled(scenario.n_agents).items()}
+    return values | {f"power_{name}": gain for name, gain in vars(scenario.power.scaled(scenario.n_agents)).items()}
 
 
 def _numbers(settings: Any, prefix: str) -> dict[str, Any]:

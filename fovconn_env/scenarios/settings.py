@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, Literal
 
 from fovconn_env.bounds import (
@@ -162,11 +163,11 @@ class PowerIteration:
     def __post_init__(self) -> None:
         check_numbers(self)
 
-    def scaled(self, n_agents: int) -> dict[str, float]:
-        """All gains, by name, as a team of `n_agents` uses them."""
+    def scaled(self, n_agents: int) -> SimpleNamespace:
+        """All gains as a team of `n_agents` uses them; they may be beyond the bounds of settings."""
         share = min(1.0, self.team / n_agents)
         rates = {name: share * getattr(self, name) for name in ("k1", "k2", "k3", "g")}
-        return {**dataclasses.asdict(self), **rates, "lead": self.lead / share, "team": n_agents}
+        return SimpleNamespace(**dataclasses.asdict(self) | rates | {"lead": self.lead / share, "team": n_agents})
 
 
 @settings_group
