@@ -83,16 +83,17 @@ class RobotsVecEnv(VecEnv):
         """
         each = [options] * self.num_envs if options is None or isinstance(options, Mapping) else list(options)
         rule(len(each) == self.num_envs, "options", f"a dict, or {self.num_envs} of them", len(each), "one a row")
-        self._options = [read_options(one, ("poses",)) for one in each]
+        given = [read_options(one, ("poses",)) for one in each]
         for team in self.teams:
-            self._poses(team)  # raises before anything is reset
+            _poses_of(team, given)  # raises for what cannot be, and nothing is kept
+        self._options = given
 
     def reset(self) -> Any:
         """Start all worlds and return the observations. Seeds and options are used once."""
         self._check_open()
         for team in self.teams:
             seeds = self._seeds[team.rows][:: team.n_agents]
-            team.simulator.reset(seeds, poses=self._poses(team))
+            team.simulator.reset(seeds, poses=_poses_of(team, self._options))
         self._reset_seeds()
         self._reset_options()
         self._split[:] = False
@@ -176,28 +177,6 @@ class RobotsVecEnv(VecEnv):
         return None
 
     # ------------------------------------------------------------------------------------------------------ private
-    def _poses(self, team: Team) -> np.ndarray | None:
-        """The poses that the options of a team's rows give its worlds, (B, N, 4)."""
-        options = self._options[team.rows]
-        given = [one.get("poses") for one in options]
-        if all(one is None for one in given):
-            return None
-        hint = "the robots of a world start together"
-        rule(
-            all(one is not None for one in given),
-            "options",
-            "given to all rows of a scenario, or to none",
-            "some",
-            hint,
-        )
-        first = [as_numbers("poses", one) for one in given[:: team.n_agents]]
-        for k, one in enumerate(given):
-            same = np.array_equal(first[k // team.n_agents], as_numbers("poses", one))
-            rule(same, "poses", "the same in all rows of a world", f"others in row {team.rows.start + k}", hint)
-        shapes = sorted({one.shape for one in first})
-        rule(len(shapes) == 1, "poses", "of one shape", shapes, "(N, 4)")
-        return np.stack(first)
-
     def _by_row(self, values: Sequence[Any]) -> list[Any]:
         """A value a world as a value a row."""
         return [value for team in self.teams for value in values[team.worlds] for _ in range(team.n_agents)]
@@ -255,3 +234,20 @@ def make_vec_env(
     env = RobotsVecEnv(scenarios, n_worlds, state=state, render_mode=render_mode, n_threads=n_threads)
     env.seed(seed)
     return Monitor(env, info_keywords=EPISODE_KEYS) if monitor else env
+
+
+def _poses_of(team: Team, options: Sequence[Mapping[str, Any]]) -> np.ndarray | None:
+    """The poses that the options of all rows give a team's worlds, (B, N, 4)."""
+    given = [one.get("poses") for one in options[team.rows]]
+    if all(one is None for one in given):
+        return None
+    hint = "the robots of a world start together"
+    whole, says = all(one is not None for one in given), "given to all rows of a scenario, or to none"
+    rule(whole, "poses", says, "some", hint)
+    first = [as_numbers("poses", one) for one in given[:: team.n_agents]]
+    for k, one in enumerate(given):
+        same = np.array_equal(first[k // team.n_agents], as_numbers("poses", one))
+        rule(same, "poses", "the same in all rows of a world", f"others in row {team.rows.start + k}", hint)
+    shapes = sorted({one.shape for one in first})
+    rule(len(shapes) == 1, "poses", "of one shape", shapes, "(N, 4)")
+    return np.stack(first)
