@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import itertools
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from benchmarl.algorithms import MappoConfig
@@ -130,6 +131,7 @@ def make_experiment(
     folder: str, n_iterations: int = 50, *, n_worlds: int = 4, n_steps: int = 250, seed: int = 0, **settings: Any
 ) -> Experiment:
     """MAPPO on LeaderFollow, ready for `run()`; logs go to `folder`, settings to the scenario."""
+    Path(folder).mkdir(parents=True, exist_ok=True)  # BenchMARL wants it to be there
     config = ExperimentConfig.get_from_yaml()
     config.max_n_iters, config.max_n_frames = n_iterations, None
     config.on_policy_n_envs_per_worker = n_worlds

@@ -2,7 +2,7 @@
 
 Every robot of every world is a row, so 64 worlds of 6 robots are 384 rows. This is the fastest way to learn here.
 
-    pip install -e ".[learn]" -c constraints.txt && pip install tqdm rich tensorboard
+    pip install -e ".[learn]" -c constraints.txt
     python docs/examples/sb3_ppo.py --robot-steps 5000000 --log runs
 """
 

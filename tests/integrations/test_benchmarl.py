@@ -46,7 +46,7 @@ def test_time_truncates_and_does_not_terminate(script):
 def test_an_experiment_learns_and_a_seed_repeats_it(script, tmp_path):
     after = []
     for n_iterations in (1, 2, 2):
-        experiment = script.make_experiment(str(tmp_path), n_iterations, **SIZES)
+        experiment = script.make_experiment(str(tmp_path / "not" / "there"), n_iterations, **SIZES)
         before = weights(experiment.policy)
         experiment.run()
         assert experiment.total_frames == 32 * n_iterations

@@ -27,10 +27,10 @@ def frames(path):
         return np.stack([frame.to_ndarray(format="rgb24") for frame in film.decode(video=0)]).astype(int), rate
 
 
-def check(path, pictures):
-    """The film shows these pictures, one a step of 0.05 s, as far as H.264 keeps them."""
+def check(path, pictures, steps_a_second=20):
+    """The film shows these pictures, one a step, as far as H.264 keeps them."""
     film, rate = frames(path)
-    assert rate == 20
+    assert rate == steps_a_second
     assert film.shape == (SHORT["max_cycles"] + 1, 480, 640, 3)
     off = np.array([[np.abs(shown - picture).mean() for picture in pictures] for shown in film])
     assert off.diagonal().max() < 5.0  # of 255
@@ -62,6 +62,60 @@ def test_pettingzoo_record_video(tmp_path):
         pictures.append(env.render())
     env.close()
     check(tmp_path / "films" / NAME, pictures)
+
+
+@pytest.mark.parametrize("kind", ["gymnasium", "pettingzoo"])
+def test_a_film_of_a_slow_clock_lasts_as_long_as_the_flight(kind, tmp_path):
+    given = {"render_mode": "rgb_array", "clock": fovconn_env.Clock(ticks=10), **SHORT}
+    if kind == "gymnasium":
+        env = gymnasium.make("fovconn/LeaderFollow-v0", **given)
+        env = gymnasium.wrappers.RecordVideo(env, str(tmp_path / "films"), episode_trigger=lambda episode: episode == 0)
+    else:
+        env = pytest.importorskip("pettingzoo.utils.wrappers").RecordVideoParallel(
+            fovconn_env.parallel_env(**given), str(tmp_path / "films")
+        )
+    env.reset(seed=7)
+    pictures = [env.render()]
+    for _ in range(SHORT["max_cycles"]):
+        env.step(np.tile(AHEAD, (6, 1)) if kind == "gymnasium" else dict.fromkeys(env.agents, AHEAD))
+        pictures.append(env.render())
+    env.close()
+    check(tmp_path / "films" / NAME, pictures, 10)
+
+
+@pytest.mark.filterwarnings("ignore:.*Vector environment's autoreset mode")
+def test_gymnasium_record_video_of_a_batch(tmp_path):
+    recorder = pytest.importorskip("gymnasium.wrappers.vector").RecordVideo
+    env = gymnasium.make_vec("fovconn/LeaderFollow-v0", num_envs=2, render_mode="rgb_array", **SHORT)
+    env = recorder(env, str(tmp_path / "films"), episode_trigger=lambda episode: episode == 0)
+    env.reset(seed=7)
+    for _ in range(SHORT["max_cycles"] + 2):
+        env.step(np.tile(AHEAD, (2, 6, 1)))
+    env.close()
+    film, rate = frames(next((tmp_path / "films").glob("*.mp4")))
+    assert rate == 20
+    assert len(film) >= SHORT["max_cycles"]
+    assert film[0].shape[0] * film[0].shape[1] >= 2 * 480 * 640
+
+
+def test_stable_baselines_records_rows(tmp_path):
+    recorder = pytest.importorskip("stable_baselines3.common.vec_env").VecVideoRecorder
+    from fovconn_env.training.sb3 import make_vec_env
+
+    given = {"render_mode": "rgb_array", "clock": fovconn_env.Clock(ticks=10), **SHORT, "max_cycles": 50}
+    env = make_vec_env(n_worlds=2, seed=7, **given)
+    env = recorder(env, str(tmp_path), lambda step: step == 0, video_length=6)
+    env.reset()
+    pictures = [env.render()]
+    for _ in range(6):
+        env.step(np.tile(AHEAD, (12, 1)))
+        pictures.append(env.render())
+    env.close()
+    film, rate = frames(tmp_path / "rl-video-step-0-to-step-6.mp4")
+    assert rate == 10
+    assert film.shape == (7, 960, 640, 3)
+    off = np.array([[np.abs(shown - picture).mean() for picture in pictures] for shown in film])
+    np.testing.assert_array_equal(off.argmin(axis=1), np.arange(7))
 
 
 @pytest.mark.parametrize("block", BLOCKS, ids=["gymnasium", "pettingzoo"])

@@ -1,8 +1,10 @@
 """docs/examples/supersuit_sb3.py with SuperSuit and Stable-Baselines3."""
 
+import gymnasium
 import numpy as np
 import pytest
 
+import fovconn_env
 from fovconn_env import Simulator, parallel_env, scenario
 from tests.integrations import SHORT, assert_learned, example, weights
 
@@ -10,6 +12,84 @@ pytest.importorskip("supersuit")
 pytest.importorskip("stable_baselines3")
 
 pytestmark = pytest.mark.filterwarnings("ignore:The `render_mode` attribute is not defined:UserWarning")
+
+
+STILL = np.zeros(4, np.float32)
+WRAPPERS = {  # all of SuperSuit's, but for those of pictures
+    "action_lambda_v1": (lambda action, space: action / 2, lambda space: space),
+    "agent_indicator_v0": (),
+    "black_death_v3": (),
+    "clip_actions_v0": (),
+    "clip_reward_v0": (),
+    "delay_observations_v0": (2,),
+    "dtype_v0": (np.float64,),
+    "flatten_v0": (),
+    "frame_skip_v0": (3,),
+    "frame_stack_v1": (3,),
+    "frame_stack_v2": (3,),
+    "max_observation_v0": (2,),
+    "nan_noop_v0": (STILL,),
+    "nan_random_v0": (),
+    "nan_zeros_v0": (),
+    "normalize_obs_v0": (0, 1),
+    "observation_lambda_v0": (lambda observation, space: 2 * observation,),
+    "pad_action_space_v0": (),
+    "pad_observations_v0": (),
+    "reshape_v0": ((5, 41),),
+    "reward_lambda_v0": (lambda reward: reward / 2,),
+    "scale_actions_v0": (2,),
+    "sticky_actions_v0": (0.5,),
+}
+PICTURES = {"color_reduction_v0", "resize_v1"}
+MULTI_AGENT = {"agent_indicator_v0", "black_death_v3", "pad_action_space_v0", "pad_observations_v0"}
+
+
+def test_every_wrapper_of_supersuit_is_tried():
+    import supersuit
+
+    there = {name for name in dir(supersuit) if name[-1].isdigit() and "vec" not in name}
+    assert there == WRAPPERS.keys() | PICTURES
+
+
+@pytest.mark.parametrize("name", WRAPPERS)
+def test_wrappers_of_supersuit(name):
+    import supersuit
+
+    def wrapped(env):
+        return getattr(supersuit, name)(env, *WRAPPERS[name])
+
+    parallel = wrapped(parallel_env(flat=True, **SHORT))
+    parallel.reset(seed=3)
+    steps = 0
+    while parallel.agents:
+        parallel.step(dict.fromkeys(parallel.agents, STILL))
+        steps += 1
+    assert steps == {"frame_skip_v0": 3, "black_death_v3": 9}.get(name, 8)  # black death ends a step late
+    turns = wrapped(fovconn_env.env(flat=True, **SHORT))
+    turns.reset(seed=3)
+    for _ in turns.agent_iter(200):
+        *_, terminated, truncated, _ = turns.last()
+        turns.step(None if terminated or truncated else STILL)
+    assert not turns.agents
+    if name not in MULTI_AGENT:
+        shape = {"reshape_v0": ((10, 123),), "nan_noop_v0": (np.zeros((6, 4), np.float32),)}.get(name, WRAPPERS[name])
+        team = getattr(supersuit, name)(gymnasium.make("fovconn/LeaderFollow-v0", **SHORT), *shape)
+        team.reset(seed=3)
+        assert np.isfinite(team.step(np.zeros((6, 4), np.float32))[1])
+
+
+@pytest.mark.parametrize("base_class", ["gymnasium", "stable_baselines3"])
+@pytest.mark.parametrize("name", ["frame_skip_v0", "frame_stack_v1", "black_death_v3", "normalize_obs_v0"])
+def test_wrapped_rows(name, base_class):
+    import supersuit
+
+    wrapped = getattr(supersuit, name)(parallel_env(flat=True, **SHORT), *WRAPPERS[name])
+    rows = supersuit.pettingzoo_env_to_vec_env_v1(wrapped)
+    env = supersuit.concat_vec_envs_v1(rows, 2, num_cpus=0, base_class=base_class)
+    env.reset()
+    for _ in range(10):
+        rewards = env.step(np.zeros((12, 4), np.float32))[1]
+        assert np.isfinite(rewards).all()
 
 
 @pytest.fixture(scope="module")

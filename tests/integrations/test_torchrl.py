@@ -62,6 +62,18 @@ def test_dict_observations_pass_the_check_too():
     assert set(env.observation_spec["uav", "observation"].keys()) == {"self", "neighbors", "ranges"}
 
 
+@pytest.mark.filterwarnings("ignore")  # torchrl 0.11 says much about Gymnasium 1
+def test_the_joint_environment_by_its_id():
+    """TorchRL tries a keyword of Atari's first, and reads the TypeError."""
+    from torchrl.envs import GymEnv
+
+    env = GymEnv("fovconn_env:fovconn/LeaderFollow-v0", **SHORT)
+    assert env.rollout(20)["next", "reward"].shape[0] <= 8
+    assert env.observation_spec["observation"].shape == (6, 205)
+    with pytest.raises(TypeError, match="unexpected keyword argument 'n_agent': did you mean 'n_agents'"):
+        GymEnv("fovconn_env:fovconn/LeaderFollow-v0", n_agent=4)
+
+
 def test_it_learns_and_a_seed_repeats_it(script):
     sizes = {"n_worlds": 2, "n_steps": 16, "seed": 3, **SHORT}
     lines = []

@@ -181,6 +181,13 @@ def test_seeds_from_words():
     for bad in ("", "3-1", "-4", "1..3", "a", "1,,2", "1-"):
         with pytest.raises(ValueError, match=r"seeds must be like 0-319, 7 or 0-31,100-131, got"):
             parse_seeds(bad)
+    assert parse_seeds(f"{2**63 - 1}") == [2**63 - 1]
+    for big in (f"{2**63}", "0-9223372036854775808", "9" * 5000, f"7,{10**19}-{10**19 + 1}"):
+        with pytest.raises(ValueError, match=r"seeds must be at most 2\*\*63 - 1, got"):
+            parse_seeds(big)
+    for many in ("0-1000000", "0-999999,1000000", "0-4000000000000000000"):
+        with pytest.raises(ValueError, match="seeds must be 1000000 at most, got"):
+            parse_seeds(many)
 
 
 def test_suites():

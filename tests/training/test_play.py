@@ -125,9 +125,18 @@ def test_pace_of_a_computer_that_keeps_up(speed, steps):
     assert pace.rate == pytest.approx(60.0)
 
 
+@pytest.mark.parametrize("step, most", [(0.001, 200), (0.05, 4), (0.1, 2), (0.5, 1)])
+def test_pace_of_other_clocks(step, most):
+    """Short steps make no computer slow, and long ones do not come several at once."""
+    pace = Pace(step)
+    assert sum(pace.due(1 / 30) for _ in range(300)) == pytest.approx(10.0 / step, abs=1)
+    assert pace.warning == ""
+    assert max(pace.due(9.0) for _ in range(3)) == most
+
+
 def test_pace_says_when_it_cannot_keep_up():
     pace = Pace(STEP)
-    assert max(pace.due(0.5) for _ in range(20)) == MOST
+    assert max(pace.due(0.5) for _ in range(20)) == round(MOST / 0.05) == 4
     assert pace.share == pytest.approx(0.4)
     assert pace.warning == "too slow a computer: 0.40 of real time, 2 pictures/s"
     for _ in range(300):

@@ -40,7 +40,9 @@ Steps = Annotated[
     int | None, typer.Option(help="Length in agent steps (for bc: samples learned from). Repeats bit for bit.")
 ]
 Minutes = Annotated[float | None, typer.Option(help="Length in minutes instead; the schedules follow the clock.")]
-Seed = Annotated[int, typer.Option(help="Training seed: network, worlds (50000 and up) and order of learning.", min=0)]
+Seed = Annotated[
+    int, typer.Option(help="Training seed: network, worlds (50000 and up) and order of learning.", min=0, max=2**32 - 1)
+]
 Out = Annotated[Path | None, typer.Option("--out", help="Folder for policy, card, model.zip, curves, checkpoint.")]
 Resume = Annotated[
     bool, typer.Option("--resume", help="Go on from the folder's checkpoint, exactly as without a break.")

@@ -17,6 +17,7 @@ from typing import Any
 from fovconn_env import PRESETS, Recorder, Scenario
 from fovconn_env.baselines import POLICIES
 from fovconn_env.errors import MachineError, SettingError, rule
+from fovconn_env.sim.seeds import MAX_SEED
 from fovconn_env.training.evaluation.flights import Evaluation, fly, join, label
 from fovconn_env.training.evaluation.shelf import Cell, Shelf
 
@@ -25,6 +26,7 @@ DEV_SEEDS = range(320)  # frozen: development; a held-out set is kept apart
 QUICK = ("LeaderFollow-v0", "LeaderObstacles-v0", "Blackout-v0", "NarrowCamera-v0")
 SUITES = {"quick": (QUICK, DEV_SEEDS[:32]), "full": (tuple(PRESETS), DEV_SEEDS)}  # scenarios and seeds, of all policies
 BLOCK = 64  # episodes flown at once by a process
+MOST_SEEDS = 1_000_000
 _POLL = 0.1  # s
 
 
@@ -41,13 +43,19 @@ def suite(name: str) -> tuple[list[str], list[str], list[int]]:
 
 
 def parse_seeds(text: str) -> list[int]:
-    """Seeds of "0-319", "7" or "0-31,100-131", each once; `ValueError` for anything else."""
+    """Seeds of "0-319", "7" or "0-31,100-131", each once; `SettingError` for anything else, and for too many."""
     seeds: dict[int, None] = {}
     for part in text.split(","):
         low, dash, high = (word.strip() for word in part.partition("-"))
-        if not low.isdecimal() or not (high.isdecimal() if dash else True) or (dash and int(high) < int(low)):
+        last = high if dash else low
+        plain = low.isdecimal() and last.isdecimal()
+        small = max(len(low), len(last)) < 20 and (not plain or int(last) <= MAX_SEED)
+        rule(small, "seeds", "at most 2**63 - 1", part, "a flight's files hold them")
+        if not plain or int(last) < int(low):
             raise SettingError(f"seeds must be like 0-319, 7 or 0-31,100-131, got {text!r}: {part!r} is no such part")
-        seeds |= dict.fromkeys(range(int(low), int(high or low) + 1))
+        numbers = range(int(low), int(last) + 1)
+        rule(len(seeds) + len(numbers) <= MOST_SEEDS, "seeds", f"{MOST_SEEDS} at most", text, "each is an episode")
+        seeds |= dict.fromkeys(numbers)
     return list(seeds)
 
 

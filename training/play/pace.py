@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-MOST = 4  # greatest number of steps between two pictures; further ones are dropped, and reported
+MOST = 0.2  # s of the flight between two pictures at most; further steps are dropped, and reported
 _MEMORY = 1.0  # s over which the pace is measured
 _SLOW = 0.95  # share of the wanted pace below which it is reported
 
@@ -13,7 +13,7 @@ class Pace:
     """Turns the time between pictures into steps of `step_time`, s."""
 
     def __init__(self, step_time: float) -> None:
-        self._step_time = step_time
+        self._step_time, self._most = step_time, max(1, round(MOST / step_time))
         self._pending = 0.0  # s of the flight
         self._wanted = self._flown = self._passed = self._pictures = 0.0  # s, s, s and pictures, decaying sums
 
@@ -22,7 +22,7 @@ class Pace:
         self._pending += elapsed * speed
         due = math.floor(self._pending / self._step_time + 1e-9)
         self._pending -= due * self._step_time
-        steps = min(due, MOST)
+        steps = min(due, self._most)
         fade = math.exp(-elapsed / _MEMORY)
         new = elapsed * speed, steps * self._step_time, elapsed, 1.0
         old = self._wanted, self._flown, self._passed, self._pictures
