@@ -42,6 +42,7 @@ def read(tmp_path, body, **changes):
         '<style>rect{display:none}</style><rect width="9" height="9"/>',
         '<style>/* .x{} */ #old{display:none}</style><rect id="old" width="9" height="9"/>',
         "<style>rect.old#one{display:none}</style><rect id='one' class='old' width='9' height='9'/>",
+        '<style>rect{fill:none</style><rect width="9" height="9"/>',
         "<style>*{display:none} circle{display:inline} svg{display:inline}</style><rect width='9' height='9'/>",
         "<style>.a{display:none} @media screen{.a{opacity:0}}</style><rect class='a' width='9' height='9'/>",
         "<style>.a{display:none!important} #b{display:inline}</style><rect id='b' class='a' width='9' height='9'/>",

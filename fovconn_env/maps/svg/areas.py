@@ -47,7 +47,7 @@ def is_flat(outline: np.ndarray) -> bool:
     return bool((abs(rays[:, 0] * far[1] - rays[:, 1] * far[0]) <= _FLAT * length.max() ** 2).all())
 
 
-def check_no_holes(outlines: Sequence[np.ndarray]) -> None:
+def check_no_holes(outlines: Sequence[np.ndarray], spend: Callable[[int], None]) -> None:
     """Raise `SettingError` for an outline inside another one of the same element."""
     low, high = (np.array([function(outline, axis=0) for outline in outlines]) for function in (np.min, np.max))
     first = np.array([outline[0] for outline in outlines])
@@ -55,6 +55,7 @@ def check_no_holes(outlines: Sequence[np.ndarray]) -> None:
         within = ((low >= low[k]) & (high <= high[k])).all(axis=1)
         within[k] = False
         candidates = within.nonzero()[0]
+        spend(len(candidates) * len(outline) // 400)
         inside = _winding(first[candidates], outline) % 2 == 1
         place = first[candidates[inside][:1]].tolist()
         rule(not place, "it", "without holes", (place or [None])[0], "strokes=True takes a ring as a ring")

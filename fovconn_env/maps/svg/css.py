@@ -130,3 +130,5 @@ def _blocks(text: str) -> Iterator[tuple[str, str]]:
             prelude = []
         else:
             (block if depth else prelude).append(piece)
+    if depth:  # the end of a sheet ends its blocks
+        yield "".join(prelude).strip(), "".join(block[1:])

@@ -20,6 +20,7 @@ _COMMAND = re.compile(r"[\s,]*([MmZzLlHhVvCcSsQqTtAa])")
 _NUMBER = re.compile(rf"\s*,?\s*({NUMBER})")
 _FLAG = re.compile(r"\s*,?\s*([01])")
 _MOST = 1e12  # user units
+_CURVE = 3  # corners that take as long as a curve
 _COUNTS = {"M": 2, "L": 2, "H": 1, "V": 1, "C": 6, "S": 4, "Q": 4, "T": 2, "A": 7, "Z": 0}
 
 
@@ -137,6 +138,7 @@ class _Parser:
 
     def _curve(self, curve: Bezier | Arc, end: complex) -> None:
         """Add the corners of a curve that ends there."""
+        self.spend(_CURVE)
         bound = curve.curvature_bound()
         rule(math.isfinite(bound), "its coordinates", "finite", Short(self.text), "user units")
         count = max(1, math.ceil(math.sqrt(bound / (8.0 * self.tolerance))))  # chords: within bound / (8 n^2) of it

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from fovconn_env.maps.svg.strokes import Pen
 from fovconn_env.maps.svg.transforms import transform, viewport
 
 TOLERANCE = 0.01  # m, greatest distance between a curve and the chords that replace it
-MAX_WORK = 200_000  # corners of a drawing, of all its elements, before anything is left out
+MAX_WORK = 100_000  # corners of a drawing, of all its elements, before anything is left out
 _ROUND = 1e-9  # a circle whose axes differ by less than this share stays a circle
 _AREAS = ("circle", "ellipse", "rect", "polygon", "path")  # shapes that are obstacles without strokes=True
 _GROUPS = ("g", "a")
@@ -276,7 +277,7 @@ class _Reader:
         most, hint = max(map(len, outlines), default=0), "simplify it, or draw it as several elements"
         rule(most <= MAX_OUTLINE, "its outline", f"of at most {MAX_OUTLINE} corners", most, hint)
         if len(outlines) > 1:
-            check_no_holes(outlines)
+            check_no_holes(outlines, self._spend)
         return [("polygon", {"outline": outline.tolist()}) for outline in outlines]
 
     def _painted(self, element: Element, place: Place, filled: bool, stroked: bool) -> Shapes:
@@ -301,7 +302,8 @@ class _Reader:
                 pen.draw(chain)
             shapes += pen.shapes
             dashed = style["stroke-dasharray"].lower() not in ("none", "", "0")
-            self.left_out["gaps of dashes"] += int(dashed and bool(pen.shapes))
+            if dashed and pen.shapes:
+                self.left_out["gaps of dashes"] += 1
         self._spend(len(shapes))
         return shapes
 
@@ -326,9 +328,15 @@ def _circle(element: Element, place: Place, margin: float) -> Shapes | None:
     return [("circle", {"center": center.tolist(), "radius": float(radius)})]
 
 
-def _stretch(matrix: np.ndarray) -> np.ndarray:
-    """Greatest and least stretch (2,) of a finite matrix."""
-    return np.linalg.svd(matrix[:2, :2], compute_uv=False)
+def _stretch(matrix: np.ndarray) -> tuple[float, float]:
+    """Greatest and least stretch of a finite matrix."""
+    return _stretch_of(matrix[:2, :2].tobytes())
+
+
+@lru_cache(1024)
+def _stretch_of(linear: bytes) -> tuple[float, float]:
+    great, least = np.linalg.svd(np.frombuffer(linear).reshape(2, 2), compute_uv=False).tolist()
+    return great, least
 
 
 def _moved(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
