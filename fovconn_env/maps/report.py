@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from fovconn_env.maps.obstacles import Map
 
 _MOST = 8  # kinds of refusals in a message
+_SHOWN = 20  # obstacles whose names are listed
 
 
 class MapReport(NamedTuple):
@@ -37,7 +38,8 @@ class MapReport(NamedTuple):
         return total + "; ".join(lines)
 
     def __str__(self) -> str:
-        lines = [f"{len(self.names)} obstacles"]
+        shown = ", ".join(f"{number} {name}" for number, name in enumerate(self.names[:_SHOWN]))
+        lines = [f"{len(self.names)} obstacles: {shown}{', ...' if len(self.names) > _SHOWN else ''}"]
         lines += [f"left out: {what}, {count}" for what, count in self.left_out.items()]
         lines += [f"refused: {name}: {why}{_more(count)}" for name, why, count in self.kinds()]
         return "\n".join(lines)

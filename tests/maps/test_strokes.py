@@ -9,6 +9,7 @@ from fovconn_env import scenario
 from fovconn_env.errors import SettingError, SettingTypeError
 from fovconn_env.maps.obstacles import Map
 from tests.fuzzing import count
+from tests.maps.test_map_files import YARD
 from tests.maps.test_maps import inside_by_even_odd, star
 from tests.maps.test_svg import CLIP, read, write
 
@@ -195,6 +196,25 @@ def test_the_origin_is_a_point_of_the_drawing(tmp_path):
     np.testing.assert_allclose(found.clearance([(0, 1.1, 0)]), [1.0])
     with pytest.raises(SettingError, match=r"plan.svg: origin must be \(2\) finite numbers"):
         plan(tmp_path, body, origin=3)
+
+
+@pytest.mark.parametrize(
+    "name, arguments",
+    [
+        ("drawio", {"scale": 0.025, "origin": (480.5, 360.5)}),
+        ("illustrator", {"scale": 0.025, "origin": (480, 360)}),
+    ],
+)
+def test_one_building_is_the_same_from_each_editor(name, arguments):
+    wanted = Map.from_file(YARD / "plan_inkscape.svg", strokes=True, scale=0.1, origin=(120, 90))
+    found = Map.from_file(YARD / f"plan_{name}.svg", strokes=True, **arguments)
+    points = np.random.default_rng(0).uniform((-13, -10), (13, 10), (3000, 2))
+    points = np.column_stack([points, np.zeros(3000)])
+    distance = np.maximum(wanted.clearance(points), 0)
+    np.testing.assert_allclose(np.maximum(found.clearance(points), 0), distance, atol=0.01)  # one has a Bézier arc
+    hall, door, entrance, wall, shaft, in_shaft = (0, 0), (5, -0.5), (0, -8), (-11, 0), (8, -4.1), (8, -5)
+    inside = wanted.clearance([(x, y, 0) for x, y in (hall, door, entrance, wall, shaft, in_shaft)]) < 0
+    assert inside.tolist() == [False, False, False, True, True, False]
 
 
 def test_a_scenario_takes_a_drawing_with_its_arguments(tmp_path):

@@ -101,9 +101,33 @@ def test_a_map_without_room_is_drawn_all_the_same(fovconn):
     assert plain.out == "wrote out/figures/map_full.png\n"
 
 
+def test_a_drawing_is_drawn_as_far_as_it_is_understood(fovconn):
+    body = '<text>hall</text><path d="M50 0H150" fill="none" stroke="red" stroke-width="10"/><circle r="5"/>{}'
+    Path("plan.svg").write_text(f'<svg xmlns="http://www.w3.org/2000/svg">{body.format("")}</svg>')
+    words = ("figures", "--map", "plan.svg", "--strokes", "--scale", "0.02", "--origin", "50,-50", "--out", "drawn")
+    shown = fovconn(*words, "--json", "plan.json")
+    assert shown.status == 0
+    assert "2 obstacles: 0 <path> number 1, 1 <circle> number 1\nleft out: text, 1\n" in shown.out
+    assert "wrote plan.json" in shown.out
+    wanted = Map.from_file("plan.svg", strokes=True, scale=0.02, origin=(50, -50))
+    assert Map.from_file("plan.json") == wanted
+    np.testing.assert_allclose(wanted.clearance([(1, -1, 0), (1, 1, 0)]), [-0.1, 1.9])
+    masked = body.format('<g mask="url(#m)"><circle r="9"/></g>')
+    Path("plan.svg").write_text(f'<svg xmlns="http://www.w3.org/2000/svg">{masked}</svg>')
+    shown = fovconn(*words)
+    assert shown.status == 0
+    assert "refused: <g> number 1: mask must be none" in shown.out
+    assert fovconn(*words, "--json", "plan.json").status == 2
+    assert Map.from_file("plan.json") == wanted
+
+
 @pytest.mark.parametrize(
     "words, message",
     [
+        (("--map", "drawn"), "drawn is no map: it is a folder, a pipe or a device, not a file"),
+        (("--map", "fine.json", "--origin", "1;2"), "--origin must be X,Y, got '1;2': for example --origin 250,120"),
+        (("--map", "fine.json", "--strokes"), "fine.json: scale, strokes and origin must be as by default"),
+        (("--ablations", "--strokes"), "--strokes, --scale and --origin must come with --map"),
         (("--map", "nowhere.json"), "No such file or directory: 'nowhere.json'"),
         (("--map", "broken.json"), "broken.json: a .json map must be JSON"),
         (("--map", "broken.json", "--ablations"), "figures must be told which, got --ablations and --map"),
@@ -115,12 +139,13 @@ def test_a_map_without_room_is_drawn_all_the_same(fovconn):
 )
 def test_bad_words_end_with_one_clear_line(fovconn, words, message):
     Path("broken.json").write_text("{")
+    Path("drawn").mkdir()
     GROUND.to_file("fine.json")
     shown = fovconn("figures", *words)
     assert shown.status == 2
     assert message in shown.err
     assert "Traceback" not in shown.err
-    assert {file.name for file in Path().iterdir()} == {"broken.json", "fine.json"}
+    assert {file.name for file in Path().iterdir()} == {"broken.json", "drawn", "fine.json"}
 
 
 def test_eval_flies_on_a_map_from_a_file(fovconn):

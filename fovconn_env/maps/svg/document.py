@@ -44,7 +44,7 @@ class Element(NamedTuple):
 
     def walk(self) -> Iterator[Element]:
         """The element and all below it, in order; no recursion, for groups nest deeper than Python calls."""
-        stack = [self]
+        stack: list[Element] = [self]
         while stack:
             element = stack.pop()
             yield element

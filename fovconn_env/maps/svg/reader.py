@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from fovconn_env.errors import rule
-from fovconn_env.maps.outlines import FAR, MAX_OUTLINE, Short, checked_outline, convex_pieces
+from fovconn_env.maps.outlines import FAR, Short, checked_outline
+from fovconn_env.maps.svg import shapes
 from fovconn_env.maps.svg import style as styles
-from fovconn_env.maps.svg.areas import as_array, check_no_holes, closed_outlines, filled_pieces, is_flat
 from fovconn_env.maps.svg.clips import Shapes, clip
 from fovconn_env.maps.svg.document import MAX_ELEMENTS, SHAPES, DrawingError, Element, drawing_rule, parse
-from fovconn_env.maps.svg.paths import chains
-from fovconn_env.maps.svg.strokes import Pen
 from fovconn_env.maps.svg.transforms import transform, viewport
 
-TOLERANCE = 0.01  # m, greatest distance between a curve and the chords that replace it
 MAX_WORK = 100_000  # corners of a drawing, of all its elements, before anything is left out
-_ROUND = 1e-9  # a circle whose axes differ by less than this share stays a circle
 _AREAS = ("circle", "ellipse", "rect", "polygon", "path")  # shapes that are obstacles without strokes=True
 _GROUPS = ("g", "a")
 _WORDS = ("text", "image", "foreignObject", "video", "audio", "canvas", "iframe")
@@ -131,6 +125,7 @@ class _Reader:
             return  # definitions, and what has no shape
         matrix = around.matrix
         if style["transform"] != "none":
+            self._spend(style["transform"].count("("))
             matrix = matrix @ transform(style)
             rule(bool(np.isfinite(matrix).all()), "transform", "of finite numbers", Short(style["transform"]), "metres")
         heights = around.heights | styles.heights(element)
@@ -194,7 +189,7 @@ class _Reader:
         x, y, width, height = seen
         corners = np.array([(x, y), (x + width, y), (x + width, y + height), (x, y + height)])
         return place._replace(
-            matrix=matrix, regions=(*place.regions, [checked_outline("viewBox", _moved(corners, matrix))])
+            matrix=matrix, regions=(*place.regions, [checked_outline("viewBox", shapes.moved(corners, matrix))])
         )
 
     def _clip_paths(self, style: styles.Style, matrix: np.ndarray) -> list[list[np.ndarray]]:
@@ -228,18 +223,10 @@ class _Reader:
             rule(plain, "clip-path", "without a clip path or mask of its own", "one", "cut it in the drawing")
             placed = matrix @ transform(inner)
             outlines += [
-                checked_outline("clip-path", _moved(piece, placed)) for piece in self._tiles(child, inner, placed)
+                checked_outline("clip-path", shapes.moved(piece, placed))
+                for piece in shapes.tiles(child, inner, placed, self._spend)
             ]
         return [outlines]
-
-    def _tiles(self, element: Element, style: styles.Style, matrix: np.ndarray) -> list[np.ndarray]:
-        """Convex pieces of the area of a shape of a clip path, user units."""
-        stretch = _stretch(matrix)
-        found = chains(element, style, TOLERANCE / stretch[0], self._spend) if stretch[1] > 0.0 else []
-        rings = [ring for ring in (as_array(chain.corners) for chain in found) if not is_flat(ring)]
-        if len(rings) == 1 and _is_simple(rings[0]):
-            return convex_pieces(checked_outline("clip-path", rings[0]))
-        return filled_pieces(rings, style["clip-rule"].lower(), self._spend) if rings else []
 
     def _shape(self, element: Element, place: Place) -> None:
         style = place.style
@@ -247,109 +234,23 @@ class _Reader:
         if style["visibility"].lower() in ("hidden", "collapse") or not (filled or stroked):
             self.left_out["hidden"] += 1
             return
-        stretch = _stretch(place.matrix)
+        stretch = shapes.stretch(place.matrix)
         if stretch[1] <= FAR**-2 * max(stretch[0], FAR**-2):
             self.left_out["without size"] += 1
             return
         if self.strokes:
-            shapes = self._painted(element, place, filled, stroked)
+            made = shapes.painted(element, style, place.matrix, (filled, stroked), self._spend)
+            dashed = stroked and style["stroke-dasharray"].lower() not in ("none", "", "0")
+            if dashed and made:
+                self.left_out["gaps of dashes"] += 1
         else:
             hint = "strokes=True takes lines as walls; or hide it"
             rule(element.tag in _AREAS, "it", f"one of {', '.join(_AREAS)}", element.tag, hint)
-            shapes = self._area(element, place)
-        seen = shapes
+            made = shapes.area(element, style, place.matrix, self._spend)
+        seen = made
         for region in place.regions:
             seen = clip(seen, region)
         if not seen:
-            self.left_out["clipped away" if shapes else "without size"] += 1
+            self.left_out["clipped away" if made else "without size"] += 1
             return
         self.obstacles.append((self._name(element), [(shape, {**given, **place.heights}) for shape, given in seen]))
-
-    def _area(self, element: Element, place: Place) -> Shapes:
-        """A shape as an area, however it is painted: a circle if the transform keeps it one, else its outlines."""
-        circle = _circle(element, place, 0.0)
-        if circle is not None:
-            return circle
-        tolerance = TOLERANCE / _stretch(place.matrix)[0]
-        found = chains(element, place.style, tolerance, self._spend)
-        outlines = closed_outlines(found, tolerance, Short(element.get("d")))
-        outlines = [_moved(outline, place.matrix) for outline in outlines]
-        most, hint = max(map(len, outlines), default=0), "simplify it, or draw it as several elements"
-        rule(most <= MAX_OUTLINE, "its outline", f"of at most {MAX_OUTLINE} corners", most, hint)
-        if len(outlines) > 1:
-            check_no_holes(outlines, self._spend)
-        return [("polygon", {"outline": outline.tolist()}) for outline in outlines]
-
-    def _painted(self, element: Element, place: Place, filled: bool, stroked: bool) -> Shapes:
-        """A shape as it is painted: its area if it is filled, its line if it is stroked."""
-        style, matrix = place.style, place.matrix
-        width = styles.length(style, "stroke-width", 1.0) if stroked else 0.0
-        rule(width >= 0.0, "stroke-width", "at least 0", style["stroke-width"], "user units")
-        fixed = stroked and style["vector-effect"].lower() == "non-scaling-stroke"
-        rule(not fixed, "vector-effect", "none", "non-scaling-stroke", "a wall needs a width in user units")
-        circle = _circle(element, place, width / 2) if filled else None
-        if circle is not None:
-            return circle
-        found = chains(element, style, TOLERANCE / _stretch(matrix)[0], self._spend)
-        shapes: Shapes = []
-        if filled:
-            shapes += self._fill(found, style["fill-rule"].lower(), matrix)
-        if width > 0.0:
-            join, cap = style["stroke-linejoin"].lower(), style["stroke-linecap"].lower()
-            limit = styles.length(style, "stroke-miterlimit", 4.0)
-            pen = Pen(width, cap, join, limit, matrix, TOLERANCE)
-            for chain in found:
-                pen.draw(chain)
-            shapes += pen.shapes
-            dashed = style["stroke-dasharray"].lower() not in ("none", "", "0")
-            if dashed and pen.shapes:
-                self.left_out["gaps of dashes"] += 1
-        self._spend(len(shapes))
-        return shapes
-
-    def _fill(self, found: Sequence, fill_rule: str, matrix: np.ndarray) -> Shapes:
-        rings = [ring for ring in (_moved(as_array(chain.corners), matrix) for chain in found) if not is_flat(ring)]
-        if not rings:
-            return []
-        if len(rings) == 1 and _is_simple(rings[0]):
-            return [("polygon", {"outline": rings[0].tolist()})]
-        return [("polygon", {"outline": piece.tolist()}) for piece in filled_pieces(rings, fill_rule, self._spend)]
-
-
-def _circle(element: Element, place: Place, margin: float) -> Shapes | None:
-    """A circle that the transform keeps one, grown by a margin, user units; None for any other shape."""
-    stretch, style = _stretch(place.matrix), place.style
-    if element.tag != "circle" or stretch[0] - stretch[1] > _ROUND * stretch[0]:
-        return None
-    x, y, radius = (styles.length(style, name) for name in ("cx", "cy", "r"))
-    if radius == 0.0:
-        return []
-    center, radius = (place.matrix @ (x, y, 1.0))[:2], (radius + margin) * math.sqrt(stretch[0] * stretch[1])
-    return [("circle", {"center": center.tolist(), "radius": float(radius)})]
-
-
-def _stretch(matrix: np.ndarray) -> tuple[float, float]:
-    """Greatest and least stretch of a finite matrix."""
-    return _stretch_of(matrix[:2, :2].tobytes())
-
-
-@lru_cache(1024)
-def _stretch_of(linear: bytes) -> tuple[float, float]:
-    great, least = np.linalg.svd(np.frombuffer(linear).reshape(2, 2), compute_uv=False).tolist()
-    return great, least
-
-
-def _moved(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Points (n, 2) in the world frame. Raises `SettingError` for places that are too far."""
-    moved = points @ matrix[:2, :2].T + matrix[:2, 2]
-    far = float(abs(moved).max())
-    rule(far <= FAR, "its coordinates", f"at most {FAR:g}", far, "metres")
-    return moved
-
-
-def _is_simple(ring: np.ndarray) -> bool:
-    """Whether corners (n, 2) are one outline that does not cross itself, short enough for `Map.polygon`."""
-    try:
-        return len(ring) <= MAX_OUTLINE and len(checked_outline("it", ring)) > 0
-    except ValueError:
-        return False
