@@ -37,7 +37,7 @@ class Bounds(NamedTuple):
         if value > self.most:
             return f"at most {self.most:g}"
         least = f"at least {self.least:g}"
-        if self.above or value <= 0 < self.least:
+        if self.above or value <= 0 < self.least <= 1:
             return "above 0" if self.above else f"above 0, {least}"
         return least
 
