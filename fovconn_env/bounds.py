@@ -15,7 +15,7 @@ from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
-from fovconn_env.errors import SettingTypeError, closest, is_whole, rule, shown, unknown_keyword
+from fovconn_env.errors import SettingTypeError, closest, is_list, is_whole, rule, shown, unknown_keyword
 
 _Kind = TypeVar("_Kind", bound=type)
 
@@ -140,7 +140,7 @@ def _as_float(value: Any) -> float:
 
 
 def _checked_vector(name: str, value: Any, size: int, bounds: Bounds) -> tuple[float, ...]:
-    parts = list(value) if isinstance(value, (tuple, list)) or (isinstance(value, np.ndarray) and value.ndim) else []
+    parts = list(value) if is_list(value) else []
     rule(len(parts) == size, name, f"{('no', 'one', 'two', 'three')[size]} numbers", value, bounds.why)
     return tuple(checked_number(f"{name}[{k}]", part, bounds) for k, part in enumerate(parts))
 

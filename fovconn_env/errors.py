@@ -158,6 +158,13 @@ def is_whole(value: object) -> bool:
     return isinstance(value, numbers.Integral) and not isinstance(value, (bool, np.bool_))
 
 
+def is_list(value: object) -> bool:
+    """Whether a value holds others in order: a list, a tuple, an array, or what a library has for a list."""
+    if isinstance(value, np.ndarray):
+        return value.ndim > 0
+    return isinstance(value, Sequence) and not isinstance(value, (str, bytes, bytearray))
+
+
 def check_count(field: str, value: Any, hint: str, *, most: int = 2**31) -> int:
     """`value` as an int; `SettingError` that names the field unless it is a whole number from 1 to `most`."""
     rule(is_whole(value) and value >= 1, field, "a whole number, at least 1", value, hint)

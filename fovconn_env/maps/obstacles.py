@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pymunk
 
-from fovconn_env.errors import SettingError, rule
+from fovconn_env.errors import SettingError, is_list, rule
 from fovconn_env.kernel.records import PIECE
 from fovconn_env.maps.files import check_call, read_contents, write_entries
 from fovconn_env.maps.outlines import Short, checked_array, checked_length, checked_outline, convex_pieces
@@ -118,7 +118,7 @@ class Map:
         """
         added = []
         for k, call in enumerate(shapes):
-            pair = isinstance(call, (tuple, list)) and len(call) == 2
+            pair = is_list(call) and len(call) == 2
             rule(pair, f"shape {k} of an obstacle", "a pair of shape and arguments", Short(call), "see Map.obstacles")
             check_call(f"shape {k} of an obstacle", *call)
             method, arguments = call

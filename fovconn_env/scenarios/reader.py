@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from fovconn_env.errors import SettingTypeError, closest, rule, shown, unknown_keyword
+from fovconn_env.errors import SettingTypeError, closest, is_list, rule, shown, unknown_keyword
 from fovconn_env.maps.corridor import Corridor
 from fovconn_env.maps.files import MAX_CORNERS, MAX_OUTLINE
 from fovconn_env.maps.forest import Forest
@@ -69,7 +69,7 @@ def read_map(value: Any) -> Any:
     if kind != "Map":
         return read_group(MAPS[kind], words, "Scenario.map")
     obstacles: Any = words.get("obstacles")
-    lists = isinstance(obstacles, (list, tuple)) and all(isinstance(shapes, (list, tuple)) for shapes in obstacles)
+    lists = is_list(obstacles) and all(is_list(shapes) for shapes in obstacles)
     whole = list(words) == ["obstacles"] and lists
     rule(whole, "Map", "an object with a list 'obstacles'", words, "each a list of shapes")
     counts, hint = [_corners(call) for shapes in obstacles for call in shapes], "a map file has the same limits"
@@ -84,9 +84,9 @@ def read_map(value: Any) -> Any:
 
 def _corners(call: Any) -> int:
     """Corners of a shape in a record, which may be anything."""
-    arguments = call[-1] if isinstance(call, (list, tuple)) and call else None
-    outline = arguments.get("outline") if isinstance(arguments, Mapping) else None
-    return len(outline) if isinstance(outline, (list, tuple)) else 2
+    arguments = call[-1] if is_list(call) and len(call) else None
+    outline: Any = arguments.get("outline") if isinstance(arguments, Mapping) else None
+    return len(outline) if is_list(outline) else 2
 
 
 def _kind_of(words: Mapping[str, Any]) -> str:
@@ -108,7 +108,7 @@ def read_leader(value: Any) -> Any:
 
 def read_faults(value: Any) -> Any:
     """A tuple of faults from a list of faults or mappings."""
-    if not isinstance(value, (tuple, list)):
+    if not is_list(value):
         return value
     rule(len(value) <= MAX_FAULTS, "Scenario.faults", f"at most {MAX_FAULTS}", len(value), "every tick looks at each")
     return tuple(

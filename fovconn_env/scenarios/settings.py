@@ -24,7 +24,7 @@ from fovconn_env.bounds import (
     settings_group,
     vector,
 )
-from fovconn_env.errors import closest, is_whole, rule
+from fovconn_env.errors import closest, is_list, is_whole, rule
 from fovconn_env.scenarios.airframe import Airframe as Airframe  # so that all groups are found here
 
 MAX_AGENTS = 256
@@ -289,7 +289,7 @@ class Fault:
             whole, says = is_whole(self.robot), f"a whole number from 0 to {MAX_AGENTS - 1}, or None"
             rule(whole and 0 <= self.robot < MAX_AGENTS, "Fault.robot", says, self.robot, "None draws a follower")
             object.__setattr__(self, "robot", int(self.robot))
-        pair = isinstance(self.at, (tuple, list))
+        pair = is_list(self.at)
         given: Any = self.at if pair else (self.at, self.at)
         times = tuple(checked_number("Fault.at", time, _AT) for time in given)
         fine = len(times) == 2 and times[0] <= times[1]

@@ -2,6 +2,8 @@
 
 import dataclasses
 import math
+import pydoc
+import re
 from decimal import Decimal
 from fractions import Fraction
 
@@ -132,6 +134,19 @@ def test_published_scenarios_and_benchmarks_are_within():
     chosen += [scenario("TiltDynamics-v0", **changes) for changes in airframes]
     chosen += [scenario(n_agents=100, max_cycles=10**9, patience=1e9), scenario(n_agents=256, **{"radio.delay": 80})]
     assert all(isinstance(one, Scenario) for one in chosen)
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize("kind", {**KINDS, **GAINS}.values())
+def test_help_lists_every_setting(kind):
+    """With default, unit, bounds and words."""
+    text = pydoc.render_doc(kind, renderer=pydoc.plaintext)
+    for field in dataclasses.fields(kind):
+        assert re.search(rf"^ .* {field.name}: .*[a-zA-Z()]", text, re.MULTILINE), field.name
+    if kind is Scenario:
+        assert "speed_limit: 1.5; m/s, Euclidean norm; 0.001 to 100" in text
+        assert 'dynamics: "kinematic"; "kinematic" or "quadrotor"; how robots fly' in text
+        assert "camera: Camera()" in text
 
 
 # ------------------------------------------------------------------------------------------------------ together

@@ -5,6 +5,8 @@ import dataclasses
 import json
 import math
 import pickle
+from collections import UserDict, UserList
+from types import MappingProxyType
 
 import gymnasium
 import numpy as np
@@ -181,6 +183,18 @@ def test_settings_from_a_file_of_plain_data():
         patience=math.inf,
         faults=(Fault(kind="radio", at=(10.0, 20.0)), Fault(at=5.0)),
     )
+
+
+def test_other_mappings_and_sequences_are_taken():
+    """As Hydra's DictConfig and ListConfig, numpy's arrays and read-only views are."""
+    camera = MappingProxyType({"optical_axis": UserList([1, 0, 0]), "a_min": 0.5})
+    faults = UserList([UserDict({"at": UserList([1, 2])}), {"at": np.array([1, 2])}])
+    obstacles = {"obstacles": UserList([UserList([UserList(["circle", {"center": np.zeros(2), "radius": 1}])])])}
+    chosen = scenario(UserDict({"camera": camera, "faults": faults, "map": obstacles}), start={"box": np.full(3, 9)})
+    assert chosen.camera == Camera(optical_axis=(1, 0, 0), a_min=0.5)
+    assert chosen.faults == (Fault(at=(1, 2)), Fault(at=(1, 2)))
+    assert chosen.map == Map().circle((0, 0), 1)
+    assert chosen.start == Start(box=(9, 9, 9))
 
 
 def test_a_mapping_is_the_constructors_keywords():
