@@ -116,7 +116,9 @@ def checked_number(name: str, value: Any, bounds: Bounds, says: str = "a number"
     if bounds.whole:
         rule(is_whole(value), name, "a whole number", value, "it counts something")
     if not isinstance(value, (numbers.Real, Decimal)) or isinstance(value, (bool, np.bool_)):
-        raise SettingTypeError(f"{name} must be {says}, got {shown(value)}: check the setting's type")
+        text = "a text is none; YAML reads 1e3 as one, write 1.0e+3"
+        hint = text if isinstance(value, str) else "check the setting's type"
+        raise SettingTypeError(f"{name} must be {says}, got {shown(value)}: {hint}")
     given: Any = value
     exact = int(given) if bounds.whole else _as_float(given)
     if bounds.infinite and exact == math.inf:
