@@ -19,7 +19,7 @@ PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 .NOTPARALLEL:
 
 help:  ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-17s %s\n", $$1, $$2 }' Makefile
+	@$(PYTHON) -c 'import re; [print(f"  make {name:17} {what}") for name, what in re.findall("(?m)^([a-z-]+):.*## (.*)$$", open("Makefile", encoding="utf-8").read())]'
 	@echo 'demo, test-fast and test-integrations hand ARGS on: make demo ARGS="--seed 3", make test-fast ARGS="-k camera"'
 
 demo: $(VENV)/installed-demo  ## the paper's experiment: a table here, figures and an animation in out/demo/

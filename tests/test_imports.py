@@ -2,6 +2,7 @@
 
 import importlib
 import inspect
+import os
 import re
 import subprocess
 import sys
@@ -50,3 +51,33 @@ def test_public_names_are_there(name):
     assert room.__all__
     for word in room.__all__:
         assert not inspect.ismodule(getattr(room, word)), word
+
+
+def test_no_module_needs_what_linux_alone_has():
+    """All of the package is imported without the modules and functions that Windows lacks."""
+    program = """if True:
+        import importlib, os, pathlib, signal, subprocess, sys, tempfile
+        import gymnasium, matplotlib.figure, numba, pettingzoo, pymunk, rich.progress, scipy.stats, typer, xml.etree
+        sys.modules.update(dict.fromkeys(["fcntl", "grp", "pwd", "resource", "syslog", "termios", "tty"]))
+        for name in ("fork", "getuid", "sched_getaffinity", "getppid", "killpg"):
+            delattr(os, name)
+        for name in ("SIGHUP", "SIGKILL", "SIGALRM", "pthread_sigmask"):
+            delattr(signal, name)
+        from fovconn_env.errors import EXTRAS
+        root, found = pathlib.Path("fovconn_env"), 0
+        for folder in (root, root / "baselines", root / "training"):
+            for file in sorted(folder.rglob("*.py")):
+                name = ".".join(file.with_suffix("").parts).removesuffix(".__init__")
+                if name.endswith("__main__") or "baselines.own" in name:
+                    continue
+                try:
+                    importlib.import_module(name)
+                    found += 1
+                except ModuleNotFoundError as problem:
+                    assert EXTRAS.get(problem.name.partition(".")[0]) in ("learn", "rerun"), problem
+        print(found)
+    """
+    command = [sys.executable, "-c", program]
+    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    assert run.returncode == 0, run.stderr
+    assert int(run.stdout) > 100

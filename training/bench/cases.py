@@ -17,7 +17,7 @@ import os
 import time
 import warnings
 from collections.abc import Callable
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import ExitStack, redirect_stderr, redirect_stdout
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -363,7 +363,10 @@ PEERS = {
 def _make_silently(make: Callable[[int, int], Case], n_agents: int, n_worlds: int) -> Case:
     """A peer's case; its output and warnings while it is made, from C code as well, are suppressed."""
     copies = os.dup(1), os.dup(2)
-    with open(os.devnull, "w") as null, warnings.catch_warnings(), redirect_stdout(null), redirect_stderr(null):
+    with ExitStack() as stack:
+        null = stack.enter_context(open(os.devnull, "w", encoding="utf-8"))
+        for context in (warnings.catch_warnings(), redirect_stdout(null), redirect_stderr(null)):
+            stack.enter_context(context)
         warnings.simplefilter("ignore")
         try:
             for stream in (1, 2):

@@ -21,6 +21,7 @@ from fovconn_env.errors import SettingError
 from fovconn_env.training.bench.cases import PEERS, Case, Effort, Plan, lap, plans
 
 GROUPS = ("parallel", "vector", "expert", "sb3", "ppo", "dynamics", "reset", "render", "density", "memory")
+_STATUS = Path("/proc/self/status")  # on Linux
 INSTALLED = ("installed", "all")  # in the place of a peer's name
 Progress = Callable[[str, int, int], None]  # what comes next, calls done, calls in all
 
@@ -79,6 +80,9 @@ def agenda(chosen: Scenario, effort: Effort, only: Sequence[str] = (), against: 
     if "render" in groups and importlib.util.find_spec("pygame") is None:
         groups.remove("render")
         missing.append("render: needs pygame-ce, pip install 'fovconn-env[render]'")
+    if "memory" in groups and not _STATUS.is_file() and importlib.util.find_spec("resource") is None:
+        groups.remove("memory")
+        missing.append("memory: this system does not tell the peak of a process")
     todo = [plan for plan in plans(chosen, effort, peers) if plan.group in (*groups, "peers")]
     return Agenda(chosen, effort, todo, "memory" in groups, missing)
 
@@ -180,7 +184,7 @@ def _peak() -> int:
     Not from `getrusage` on Linux: its value for a child includes the parent's memory at the start of the child.
     """
     with contextlib.suppress(OSError, StopIteration):
-        lines = Path("/proc/self/status").read_text().splitlines()
+        lines = _STATUS.read_text("utf-8").splitlines()
         return 1024 * int(next(line for line in lines if line.startswith("VmHWM")).split()[1])
     import resource
 

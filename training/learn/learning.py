@@ -7,6 +7,7 @@ import io
 import json
 import platform
 import shlex
+import shutil
 import subprocess
 import sys
 import time
@@ -118,14 +119,14 @@ class Curves:
     def __init__(self, folder: Path, step: int) -> None:
         """step: of the checkpoint; later lines of an interrupted run are dropped."""
         self._file = folder / "curves.csv"
-        lines = self._file.read_text().splitlines()[1:] if self._file.is_file() and step else []
+        lines = self._file.read_text("utf-8").splitlines()[1:] if self._file.is_file() and step else []
         kept = [line for line in lines if int(line.split(",")[0]) <= step]
         write_text(self._file, "\n".join(["step,name,value", *kept, ""]))
         self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=step or None)
 
     def add(self, step: int, numbers: Mapping[str, float]) -> None:
         """Append numbers of a step."""
-        with self._file.open("a") as stream:
+        with self._file.open("a", encoding="utf-8") as stream:
             for name, value in numbers.items():
                 stream.write(f"{step},{name},{value:.6g}\n")
                 self._board.add_scalar(name, value, step)
@@ -312,7 +313,9 @@ def check_finite(algorithm: Algorithm, place: Path) -> None:
 
 
 def commit() -> str:
-    """The commit of the source, "" outside a git repository."""
+    """The commit of the source, "" outside a git repository, and where there is no git."""
+    if shutil.which("git") is None:
+        return ""
     here = Path(__file__).parent
     task = subprocess.run(["git", "rev-parse", "--short=12", "HEAD"], cwd=here, capture_output=True, text=True)
     return task.stdout.strip()
