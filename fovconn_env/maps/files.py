@@ -55,7 +55,13 @@ def read_contents(path: Path, scale: float, strokes: bool, origin: Sequence[floa
     """
     suffix, file = path.suffix.lower(), str(path)
     data = read_file(path, "map", MAX_BYTES)
-    rule(suffix in SUFFIXES, f"{file}: a map", f"a file in {' or '.join(SUFFIXES)}", path.suffix, "see docs/maps.md")
+    rule(
+        suffix in SUFFIXES,
+        f"{file}: a map",
+        f"a file in {' or '.join(SUFFIXES)}",
+        path.suffix,
+        "Map.to_file writes .json",
+    )
     plain = suffix == ".svg" or (scale == 1.0 and not strokes and not any(origin))
     rule(plain, f"{file}: scale, strokes and origin", "as by default for a .json file", scale, "its numbers are metres")
     if suffix == ".json":
@@ -99,7 +105,7 @@ def _read_json(data: bytes, file: str) -> list[Entry]:
     except (ValueError, RecursionError) as problem:
         raise SettingError(f"{file}: a .json map must be JSON, got something else: {problem}") from None
     name = record.get("format") if isinstance(record, dict) else record
-    rule(name == FORMAT, f"{file}: format", repr(FORMAT), Short(name), "see docs/maps.md")
+    rule(name == FORMAT, f"{file}: format", repr(FORMAT), Short(name), "Map.to_file writes it")
     _check_keys(file, record, ("format", "version", "obstacles"), ())
     version, obstacles = record["version"], record["obstacles"]
     supported = version == VERSION and not isinstance(version, bool)
@@ -119,7 +125,7 @@ def _read_json(data: bytes, file: str) -> list[Entry]:
 
 def _read_shape(where: str, item: Any) -> tuple[str, dict[str, Any]]:
     """One shape as (method of Map, arguments). Keys and types are checked here, values by Map's methods."""
-    rule(isinstance(item, dict), where, "an object", Short(item), "see docs/maps.md")
+    rule(isinstance(item, dict), where, "an object", Short(item), "Map.to_file writes them")
     arguments = {key: value for key, value in item.items() if key != "shape"}
     shape = item.get("shape")
     depths = check_call(where, shape, arguments)

@@ -139,7 +139,12 @@ def test_gif(write):
 
 def test_mp4(write):
     av = pytest.importorskip("av")
-    with av.open(write(".mp4")) as film:
+    file = write(".mp4")
+    data = file.read_bytes()
+    assert data.index(b"moov") < data.index(b"mdat"), (
+        "the index stands at the start, so that a page can play it at once"
+    )
+    with av.open(file) as film:
         frames = [frame.to_ndarray(format="rgb24") for frame in film.decode(video=0)]
     assert frames[0].shape == (700, 800, 3)
     assert len(frames) == 21  # 2 s at 20 frames a second, twice as fast, and the last one

@@ -17,7 +17,7 @@ from fovconn_env.training.evaluation import evaluate
 from fovconn_env.training.evaluation.comparison import compare
 from fovconn_env.training.evaluation.marl_eval import to_marl_eval
 from fovconn_env.training.evaluation.pictures import line_styles
-from fovconn_env.training.evaluation.report import MOST_LOST, lost_table, write_report
+from fovconn_env.training.evaluation.report import MOST_LOST, _term, lost_table, write_report
 from fovconn_env.training.evaluation.results import record_of
 from fovconn_env.training.evaluation.statistics import paired_share_difference, share_interval
 from fovconn_env.training.evaluation.tables import (
@@ -27,6 +27,7 @@ from fovconn_env.training.evaluation.tables import (
     overall_table,
     scenario_table,
 )
+from fovconn_env.training.evaluation.text import escape
 from tests.test_text import HOSTILE
 
 HEAD = {"seeds": "0-23", "date": "2026-01-01", "settings": "n_agents=3 | max_cycles<=40"}
@@ -267,11 +268,13 @@ def test_html(written):
     for value in (*HEAD.values(), FOOTNOTE):
         assert value in words
     assert page.tags.count("img") == len(files) - 2
-    assert all(re.match(r"#[\w-]+$|data:image/png;base64,", address) for address in page.addresses)
+    inside = re.compile(r"#[\w-]+$|data:image/png;base64,|(results|marl-eval)\.json$|report\.md$")
+    assert all(map(inside.match, page.addresses))
     assert not re.search(r"https?:|//\w|@import|url\(", re.sub(r"base64,[A-Za-z0-9+/=]+", "", text))
     anchors = [address[1:] for address in page.addresses if address[0] == "#"]
     assert all(f'id="{anchor}"' in text for anchor in anchors)
-    assert len(set(anchors)) == len(anchors) == 4
+    sections = [anchor for anchor in anchors if not anchor.startswith("term-")]
+    assert len(set(sections)) == len(sections) == 4
 
 
 def test_markdown(written):
@@ -379,3 +382,35 @@ def test_names_are_shown_as_they_are(team, tmp_path):
     text = (tmp_path / "report.md").read_text("utf-8")
     assert "](javascript" not in text
     assert all(line.isprintable() for line in [*text.split("\n"), *page.split("\n")])
+
+
+# -------------------------------------------------------------------------------------------------------- what was run
+def test_a_report_says_what_was_run_and_where_everything_is(fovconn, tmp_path):
+    """The command, the path of a policy of one's own, definitions with units behind the columns, and the numbers."""
+    (tmp_path / "mine.py").write_text(
+        "import numpy as np\nfrom fovconn_env.baselines import Policy\n\n\nclass Mine(Policy):\n"
+        "    def decide(self, flat):\n        return np.zeros((len(flat), 4))\n"
+    )
+    words = ("eval", "--policy", "mine.py:Mine", "--policy", "expert", "--seeds", "0-1", "--out", "out dir")
+    shown = fovconn(*words, "--set", "n_agents=3", "--set", "max_cycles=4", "--set", "warmup=0.1", "--processes", "1")
+    assert shown.status == 0
+    page = (tmp_path / "out dir" / "report.html").read_text("utf-8")
+    text = (tmp_path / "out dir" / "report.md").read_text("utf-8")
+    command = "fovconn eval --policy mine.py:Mine --policy expert --seeds 0-1 --out 'out dir' --set n_agents=3"
+    assert f"<dd>{command.replace(chr(39), '&#39;')}" in page
+    assert f"command: {escape(command)}" in text
+    assert "Mine is mine.py:Mine" in page
+    places = set(re.findall(r' id="([^"]+)"', page))
+    links = set(re.findall(r'href="([^"]+)"', page))
+    assert {link.removeprefix("#") for link in links if link.startswith("#")} <= places
+    assert {"#term-kept", "#term-progress", "#term-lambda2-error"} <= links
+    files = {link for link in links if not link.startswith("#")}
+    assert files == {"results.json", "marl-eval.json", "report.md"}
+    assert all((tmp_path / "out dir" / file).is_file() for file in files)
+
+
+def test_every_column_of_a_measure_is_defined(team):
+    record = numbers(team())
+    tables = (overall_table(record), scenario_table(record, "Regroup-v0"), estimator_table(record, "Regroup-v0"))
+    heads = {head for names, _ in tables for head in names} - {"policy", "p95", "one-way"}
+    assert {head for head in heads if not _term(head)} == set()

@@ -31,7 +31,7 @@ def command(
     ] = None,
     file: Annotated[Path, typer.Option("--out", help="File to write, .npz.")] = Path("out/flights.npz"),
 ) -> None:
-    """Write what every robot saw and did, as episodes that others can read (docs/training.md).
+    """Write what every robot saw and did, as episodes that others can read.
 
     Of a policy that is flown for it, or of recorded flights: your own, with `fovconn play --record flight.npz`.
     """

@@ -15,6 +15,7 @@ from fovconn_env.files import replacing
 
 Watch = Callable[[int, int], None]  # told how much is done, and of how much
 MP4_FPS, MP4_SPEEDUP = 20, 2.0
+_STREAMED = {"movflags": "faststart"}  # the index at the start, so that a page shows the film before it has all of it
 
 
 def table(flight: Flight) -> dict[str, np.ndarray]:
@@ -66,7 +67,7 @@ def write_mp4(flight: Flight, path: Path, watch: Watch) -> None:
     from fovconn_env.render.figures.animation import Movie, frame_indices
 
     movie, chosen = Movie(flight), frame_indices(flight.time, MP4_SPEEDUP / MP4_FPS)
-    with av.open(str(path), "w", format="mp4") as container:
+    with av.open(str(path), "w", format="mp4", options=_STREAMED) as container:
         stream = container.add_stream("libx264", rate=MP4_FPS, options={"crf": "20"})
         stream.height, stream.width = movie.frame(0).shape[:2]
         stream.pix_fmt = "yuv420p"

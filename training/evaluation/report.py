@@ -33,19 +33,23 @@ ROOT = Path(__file__).resolve().parents[2]
 METRICS = ROOT / "docs" / "metrics.md"
 MOST_LOST = 20  # lost episodes listed
 
-TERMS = (
-    ("kept", "share of episodes in which the team was never disconnected (true lambda2 > lambda2_min in every step)"),
-    ("success", "share of episodes that reached the scenario's goal, connected and without a collision"),
-    ("collided", "episodes that ended by a collision"),
-    ("connected", "share of time with lambda2 > lambda2_min, mean over episodes"),
+TERMS = (  # what a column's name says, in its unit
+    (
+        "kept",
+        "share of episodes in which the team was never disconnected (true lambda2 > lambda2_min in every step), %",
+    ),
+    ("success", "share of episodes that reached the scenario's goal, connected and without a collision, %"),
+    ("collided", "number of episodes that ended by a collision"),
+    ("connected", "share of time with lambda2 > lambda2_min, mean over episodes, %"),
     ("progress", "leader's speed along the stick over the speed asked for, mean over episodes; none without a stick"),
     (
         "score IQM",
         "interquartile mean of (x - random's) / (expert's - random's), by their means, not clipped; x is success "
-        "weighted by completion time (`sct`)",
+        "weighted by completion time (`sct`). The expert's mean is 1, its interquartile mean near 1",
     ),
-    ("> expert", "probability that an episode's x is above that of one of the expert's, ties count half"),
-    ("lambda2 error", "|lambda2_hat - lambda2| / lambda2 while connected, over all robots and steps"),
+    ("> expert", "probability that an episode's x is above that of one of the expert's, ties count half, %"),
+    ("mean lambda2", "true lambda2, clipped at lambda2_max, mean over steps and episodes; it has no unit"),
+    ("lambda2 error", "|lambda2_hat - lambda2| / lambda2 while connected, over all robots and steps, a ratio"),
     ("yaw rms", "root mean square of sin(error / 2) of relative yaws, by who sees whom"),
     ("B/s", "bytes a robot sends in a second"),
     ("[a, b]", "95 % interval: Wilson for shares, Bonett-Price for differences of shares, bootstrap for the others"),
@@ -74,7 +78,7 @@ class Section(NamedTuple):
     @property
     def anchor(self) -> str:
         """The section's place in the page."""
-        return re.sub(r"[^a-z0-9-]+", "-", self.title.lower()).strip("-")
+        return _anchor(self.title)
 
 
 def write_report(comparison: Comparison, record: Record, folder: Path, head: Mapping[str, str]) -> list[Path]:
@@ -86,7 +90,9 @@ def write_report(comparison: Comparison, record: Record, folder: Path, head: Map
     plots = folder / "plots"
     plots.mkdir(exist_ok=True)
     sections = [_overview(record), *(_scenario(comparison, record, name, plots) for name in comparison.scenarios)]
-    sections.append(Section("Definitions", terms=TERMS, link=("docs/metrics.md", _link(folder))))
+    address = _link(folder)
+    words = "docs/metrics.md" if address else "docs/metrics.md of the project's sources"
+    sections.append(Section("Definitions", terms=TERMS, link=(words, address)))
     page, text = folder / "report.html", folder / "report.md"
     write_text(text, in_markdown(head, sections, folder))
     write_text(page, in_html(head, sections))
@@ -123,7 +129,7 @@ def in_html(head: Mapping[str, str], sections: Sequence[Section]) -> str:
         undefined=StrictUndefined,
         finalize=_shown,
     )
-    loader.filters["embedded"] = _embedded
+    loader.filters |= {"embedded": _embedded, "term": _term, "anchor": _anchor}
     return loader.get_template("report.html").render(title=TITLE, head=head, sections=sections) + "\n"
 
 
@@ -172,6 +178,16 @@ def _scenario(comparison: Comparison, record: Record, scenario: str, plots: Path
     lines = [f"{count} episode{'s' if count > 1 else ''} a policy, all from the same seeds."]
     names = {policy: marked(record, policy) for policy in comparison.on(scenario)}
     return Section(scenario, lines, tables=tables, pictures=draw(comparison, names, scenario, plots))
+
+
+def _anchor(text: str) -> str:
+    """A text as a place in the page."""
+    return re.sub(r"[^a-z0-9-]+", "-", text.lower()).strip("-")
+
+
+def _term(head: str) -> str:
+    """The definition of a column, "" if there is none."""
+    return next((name for name, _ in TERMS if name in head), "")
 
 
 def _shown(value: Any) -> Any:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
+import shlex
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from fovconn_env.baselines import POLICIES
 from fovconn_env.scenarios.serialize import scenario_to_json
 from fovconn_env.training.evaluation.comparison import Comparison, compare
 from fovconn_env.training.evaluation.flights import Evaluation, label
@@ -38,7 +41,7 @@ def publish(
     if importlib.util.find_spec("matplotlib") is not None:
         from fovconn_env.training.evaluation.report import write_report
 
-        files += write_report(comparison, record, folder, _head(record, settings))
+        files += write_report(comparison, record, folder, _head(record, settings, policies))
     return Published(record, files)
 
 
@@ -51,8 +54,9 @@ def record_of(comparison: Comparison, policies: Mapping[str, Mapping[str, Any]])
     return Record("eval", list(evaluations[0].seeds), kinds, results, comparison.overall, scenarios)
 
 
-def _head(record: Record, settings: Mapping[str, Any]) -> dict[str, str]:
+def _head(record: Record, settings: Mapping[str, Any], policies: Sequence[str]) -> dict[str, str]:
     """What the report says at its top."""
+    own = [f"{label(policy)} is {policy}" for policy in policies if policy not in POLICIES]
     seeds, run = record.seeds, record.run
     spread = f"{min(seeds)} to {max(seeds)}" if len(seeds) > 1 else f"{seeds[0]}"
     return {
@@ -60,4 +64,6 @@ def _head(record: Record, settings: Mapping[str, Any]) -> dict[str, str]:
         "settings": ", ".join(f"{name}={value!r}" for name, value in settings.items()) or "the presets'",
         "versions": f"fovconn_env {record.version}, Python {run['python']}, numpy {run['numpy']}, numba {run['numba']}",
         "flown": run["finished"],
+        "command": shlex.join([Path(sys.argv[0]).stem, *sys.argv[1:]]),
+        **({"own policies": "; ".join(own)} if own else {}),
     }

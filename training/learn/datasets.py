@@ -201,7 +201,13 @@ def _check_header(path: str, header: dict[str, Any]) -> None:
     check_keys(name, header, (*texts, "scenario", "columns", "max_neighbors", "max_ranges", "action_units"))
     check_texts(f"policy and version of {path}", [header[key] for key in texts])
     for key in ("scenario", "columns"):
-        rule(isinstance(header[key], dict), f"{key} of {path}", "an object", type(header[key]).__name__, "see docs")
+        rule(
+            isinstance(header[key], dict),
+            f"{key} of {path}",
+            "an object",
+            type(header[key]).__name__,
+            "is it another file?",
+        )
     for table, names in header["columns"].items():
         check_texts(f"columns of {path}", [table])
         check_texts(f"columns {table!r} of {path}", names)
