@@ -1,4 +1,4 @@
-"""Write the generated tables of README.md and docs: `python docs/tables.py` (`--check` only looks).
+"""Write the generated parts of README.md and docs: `python docs/tables.py` (`--check` only looks).
 
 Beside each record docs/results/NAME.json, which `make results` writes, a page docs/results/NAME.md has all its tables.
 In README.md and docs/*.md a table stands between `<!-- KIND:NAME -->` and `<!-- end -->`; KIND is
@@ -7,6 +7,8 @@ In README.md and docs/*.md a table stands between `<!-- KIND:NAME -->` and `<!--
   `results:learned teams`; or `run`, its seeds, date and versions in a line, `results:full run`
 - `five`: five measures of three policies on a scenario, from docs/results/full.json
 - `bench`: `rates`, `bars` or `machine` of docs/benchmark.json, which `fovconn bench --json` writes
+- `quickstart`: `spread`, a table, or `line`, a sentence in docs/quickstart.ipynb, of docs/quickstart.json, which
+  docs/quickstart_spread.py writes
 - `layout`: a table of `fovconn_env.layout`, or `scales`, what the named bounds are
 - `settings`: fields of a settings class, with their bounds
 - `keys`: one group of the keys of `fovconn play`, `mouse` or `gamepad`
@@ -38,7 +40,7 @@ from fovconn_env.training.evaluation.text import Table, markdown
 from fovconn_env.training.play import gamepad, keyboard
 
 ROOT = Path(__file__).parents[1]
-RESULTS = ROOT / "docs" / "results"
+RESULTS, NOTEBOOK = ROOT / "docs" / "results", ROOT / "docs" / "quickstart.ipynb"
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 # What the named bounds of the layout are, as expressions in the settings of a Scenario.
 SCALES = {
@@ -64,14 +66,23 @@ _MARKED = re.compile(r"(<!-- (\w+):([\w -]+?) -->\n).*?(<!-- end -->)", re.DOTAL
 def rendered(text: str) -> str:
     """A page with its generated tables made anew."""
     kinds = {"layout": layout_table, "settings": settings_table, "keys": keys_table}
-    kinds |= {"bench": bench_table, "results": results_table, "five": five_table}
+    kinds |= {"quickstart": quickstart_table, "bench": bench_table, "results": results_table, "five": five_table}
     return _MARKED.sub(lambda place: f"{place[1]}\n{kinds[place[2]](place[3])}\n\n{place[4]}", text)
 
 
 def pages() -> dict[Path, str]:
     """All pages with generated tables, as they should be."""
     whole = {file.with_suffix(".md"): tables.page(file, load(file)) for file in sorted(RESULTS.glob("*.json"))}
-    return {page: rendered(page.read_text("utf-8")) for page in PAGES} | whole
+    return {page: rendered(page.read_text("utf-8")) for page in PAGES} | whole | {NOTEBOOK: notebook()}
+
+
+def notebook() -> str:
+    """The notebook with the generated parts of its text made anew."""
+    book = json.loads(NOTEBOOK.read_text("utf-8"))
+    for cell in book["cells"]:
+        if cell["cell_type"] == "markdown":
+            cell["source"] = rendered("".join(cell["source"])).splitlines(keepends=True)
+    return json.dumps(book, indent=1, ensure_ascii=False) + "\n"
 
 
 def keys_table(name: str) -> str:
@@ -114,6 +125,25 @@ def settings_table(name: str) -> str:
         limits = [f"`{bounds}`", bounds.why] if bounds else ["", ""]
         rows.append([f"`{field.name}`", f"`{default}`", limits[0], _literal(words), limits[1]])
     return markdown((["setting", "default", "bounds", "unit and meaning", "why these bounds"], rows))
+
+
+def quickstart_table(name: str) -> str:
+    """What the notebook's training ends with, from some seeds: "spread", a Markdown table, or "line", a sentence."""
+    trained = json.loads((ROOT / "docs" / "quickstart.json").read_text("utf-8"))["trained"]
+    if name == "line":
+        seeds = _listed([str(each["seed"]) for each in trained])
+        shares = _listed([f"{each['16']['success']:.0%}" for each in trained])
+        return f"Trained from the seeds {seeds} it had success in {shares} of the flights that `show` flies."
+    rows = [[str(each["seed"]), *(_percents(each[flights]) for flights in ("16", "320"))] for each in trained]
+    return markdown((["seed", "kept, success, progress in 16 flights", "in 320 flights"], rows))
+
+
+def _listed(words: list[str]) -> str:
+    return f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def _percents(found: dict[str, float]) -> str:
+    return f"{found['kept']:.1%}, {found['success']:.1%}, {found['progress']:.2f}"
 
 
 def bench_table(name: str) -> str:

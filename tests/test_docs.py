@@ -146,6 +146,18 @@ def test_loops_name_the_robot_and_reset_the_policy():
             assert not re.match(r"observations\[", line) or "agent=" in line, f"{name}: act({line}"
 
 
+def test_numbers_in_the_notebooks_text_come_from_its_record():
+    """What a training ends with is said for three seeds or more, and nothing else is in per cent."""
+    record = json.loads((ROOT / "docs" / "quickstart.json").read_text("utf-8"))
+    book = (ROOT / "docs" / "quickstart.ipynb").read_text("utf-8")
+    cells = json.loads(book)["cells"]
+    text = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
+    shares = [f"{each['16']['success']:.0%}" for each in record["trained"]]
+    assert len({each["seed"] for each in record["trained"]}) >= 3
+    assert re.findall(r"[\d.]+ ?%", text) == shares
+    assert f"STEPS = {record['made']['steps']:_}" in book
+
+
 # ---------------------------------------------------------------------------------------------------------- links
 @pytest.mark.parametrize("page", PAGES)
 def test_links_and_images_resolve(page):
