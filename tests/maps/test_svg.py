@@ -1,9 +1,9 @@
 """Drawings as editors write them: the unseen is no obstacle, what is moved is moved, what is refused is listed."""
 
-import itertools
 import math
 import os
 import random
+from decimal import Decimal
 
 import numpy as np
 import pytest
@@ -96,6 +96,7 @@ def test_nobody_hits_what_nobody_sees(tmp_path, body):
         '<g display="inline" style="opacity:0.1">' + SEEN + "</g>",
         f"<switch>{SEEN}<rect width='9' height='9'/></switch>",
         f'<switch><foreignObject requiredExtensions="x"><p/></foreignObject><g>{SEEN}</g></switch>',
+        "<style>g text, .a > p.b, div span{display:none;fill:red}</style><circle r='3'/>",
         "<style>.big{r:3px}</style><circle class='big' r='1'/>",
     ],
 )
@@ -323,22 +324,24 @@ def test_a_pipe_is_refused_at_once(tmp_path):
 
 
 def spellings(corners, rng, transform):
-    """An outline as path data, in many ways: absolute and relative, with h, v and l, with and without a repeat."""
+    """An outline as path data, in many ways: absolute and relative, with h, v and l, with and without a repeat.
+
+    Differences are exact decimals, as editors write them; the sums of these in floating point are not.
+    """
+    corners = [tuple(Decimal(repr(value)) for value in corner) for corner in corners]
     (x, y), *others = corners
-    text, here = f"{rng.choice('mM')}{x!r},{y!r}", (x, y)
-    repeat = [corners[0]] if rng.random() < 0.5 else []
-    for x, y in [*others, *repeat]:
+    text, here = f"{rng.choice('mM')}{x},{y}", (x, y)
+    relative = rng.choice((0.0, 0.5, 1.0, 1.0))
+    for x, y in [*others, *([corners[0]] if rng.random() < 0.5 else [])]:
         dx, dy = x - here[0], y - here[1]
-        ways = [f"L{x!r} {y!r}", f"l{dx!r},{dy!r}"]
+        near = rng.random() < relative
+        ways = [f"l{dx},{dy}" if near else f"L{x} {y}"]
         if dy == 0:
-            ways += [f"H{x!r}", f"h{dx!r}"] * 2
+            ways += [f"h{dx}" if near else f"H{x}"]
         if dx == 0:
-            ways += [f"V{y!r}", f"v{dy!r}"] * 2
+            ways += [f"v{dy}" if near else f"V{y}"]
         text, here = text + rng.choice(ways), (x, y)
     return f'<path d="{text}{rng.choice("zZ")}" {transform}/>'
-
-
-COORDINATE = st.integers(-60, 60) | st.floats(-30, 30).map(lambda x: round(x, 3))
 
 
 @st.composite
@@ -355,7 +358,7 @@ def simple_outlines(draw):
         below = [(i + j, -low) for i, (_, low) in enumerate(heights) for j in (0, 1)]
         above = [(i + j, top) for i, (top, _) in reversed(list(enumerate(heights))) for j in (1, 0)]
         outline = np.array(below + above, float) * draw(st.sampled_from([1.0, 0.1, 1 / 3]))
-    return (outline * size + at).tolist()
+    return (outline * size + at).round(6).tolist()
 
 
 @settings(max_examples=count(60, 10_000), deadline=None, derandomize=True)
@@ -373,16 +376,28 @@ def test_any_simple_polygon_loads_alike_in_any_spelling(tmp_path_factory, corner
     points = " ".join(f"{x!r},{y!r}" for x, y in corners)
     expected = read(folder, f'<polygon points="{points}" {transform}/>')
     found = read(folder, spellings(corners, random.Random(seed), transform))
-    a, b = expected.flatten()[1], found.flatten()[1]
-    size = np.ptp(a, axis=0).max()
-    for one, other in itertools.permutations((a, b)):
-        gaps = np.hypot(*(one[:, None] - other).transpose(2, 0, 1)).min(axis=1)
-        assert gaps.max() <= 1e-5 * size
-    points = np.random.default_rng(seed).uniform(a.min(0) - size / 9, a.max(0) + size / 9, (60, 2))
-    points = np.column_stack([points, np.zeros(len(points))])
-    inside, other = expected.clearance(points), found.clearance(points)
-    clear = abs(inside) > 1e-5 * size
-    np.testing.assert_array_equal(inside[clear] < 0, other[clear] < 0)
+    corners = expected.flatten()[1]
+    size = np.ptp(corners, axis=0).max()
+    points = np.random.default_rng(seed).uniform(corners.min(0) - size / 9, corners.max(0) + size / 9, (100, 2))
+    points = np.column_stack([np.vstack([corners, points]), np.zeros(len(corners) + 100)])
+    wanted, distance = expected.clearance(points), found.clearance(points)
+    np.testing.assert_allclose(np.maximum(distance, 0), np.maximum(wanted, 0), atol=1e-5 * size)
+    clear = abs(wanted) > 1e-5 * size  # inside, a seam between two pieces counts as their border
+    np.testing.assert_array_equal((distance < 1e-5 * size)[clear], (wanted < 0)[clear])
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "m 1.32,11.23 2.7,0 0,2.95 -0.5,0 0,-2.4 -2.2,0 0,-0.55 z",
+        "m0.1 0.2h0.7v0.3h-0.2v0.1h-0.5z",
+        "m0.1 0.2h0.7v0.3h-0.2v0.1h-0.5v-0.4z",
+        "m1000.1,2000.2 l0.3,0 0,0.6 -0.3,0 0,-0.6z",
+    ],
+)
+def test_a_closed_relative_outline_may_miss_its_start_by_a_rounding_error(tmp_path, path):
+    corners = read(tmp_path, f'<path d="{path}"/>').flatten()[1]
+    assert np.ptp(corners, axis=0).min() > 0.2
 
 
 def test_a_corner_beside_the_first_one_is_the_first_one():

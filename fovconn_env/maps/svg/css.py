@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from fovconn_env.maps.svg.document import Element, drawing_rule
+from fovconn_env.maps.svg.document import DRAWN, Element, drawing_rule
 
 MAX_RULES = 10_000  # of a drawing, a selector each
 MAX_TESTS = 1_000_000  # of a rule against an element
@@ -105,7 +105,7 @@ class Sheets:
             drawing_rule(self._count <= MAX_RULES, self._file, says, "more", _HINT)
             match = _SELECTOR.fullmatch(selector) if selector and media in _ALWAYS else None
             if match is None:
-                if not _NEVER.search(selector):
+                if not _NEVER.search(selector) and _may_draw(selector):
                     self.unread.append((selector if media in _ALWAYS else f"@media {media}", block))
                 continue
             tag, marks = (match[1] or "").replace("*", ""), re.findall(r"[.#][^.#]+", match[2])
@@ -113,6 +113,12 @@ class Sheets:
             key = f"#{min(ids)}" if ids else f".{min(classes)}" if classes else tag or "*"
             specificity = (sum(m[0] == "#" for m in marks), sum(m[0] == "." for m in marks), int(bool(tag)))
             self._rules.setdefault(key, []).append(_Rule(specificity, self._count, tag, ids, classes, block))
+
+
+def _may_draw(selector: str) -> bool:
+    """Whether a selector that is not understood may mean a shape or a group: not so if it ends in another element."""
+    tag = re.match(r"[A-Za-z][\w-]*", re.split(r"[\s>+~]+", selector)[-1])
+    return tag is None or tag[0] in DRAWN
 
 
 def _blocks(text: str) -> Iterator[tuple[str, str]]:

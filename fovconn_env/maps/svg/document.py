@@ -11,6 +11,8 @@ from fovconn_env.maps.outlines import Short
 
 MAX_ELEMENTS = 50_000  # of a drawing, copies included
 SHAPES = ("circle", "ellipse", "line", "path", "polygon", "polyline", "rect")
+GROUPS = ("g", "a")
+DRAWN = (*SHAPES, *GROUPS, "switch", "use", "svg", "symbol", "clipPath")  # elements that draw, or hold what does
 _SIMPLER = "take out the layers that are no walls"
 _HREF = ("href", "http://www.w3.org/1999/xlink}href")
 

@@ -13,12 +13,11 @@ from fovconn_env.maps.outlines import FAR, Short, checked_outline
 from fovconn_env.maps.svg import shapes
 from fovconn_env.maps.svg import style as styles
 from fovconn_env.maps.svg.clips import Shapes, clip
-from fovconn_env.maps.svg.document import MAX_ELEMENTS, SHAPES, DrawingError, Element, drawing_rule, parse
+from fovconn_env.maps.svg.document import GROUPS, MAX_ELEMENTS, SHAPES, DrawingError, Element, drawing_rule, parse
 from fovconn_env.maps.svg.transforms import transform, viewport
 
 MAX_WORK = 100_000  # corners of a drawing, of all its elements, before anything is left out
 _AREAS = ("circle", "ellipse", "rect", "polygon", "path")  # shapes that are obstacles without strokes=True
-_GROUPS = ("g", "a")
 _WORDS = ("text", "image", "foreignObject", "video", "audio", "canvas", "iframe")
 _MAX_COPIES = 20  # of copies in copies
 
@@ -121,7 +120,7 @@ class _Reader:
             rule(not inside, "foreignObject", "without shapes", "some", "take them out of it")
             self.left_out[tag] += 1
             return
-        if tag not in (*SHAPES, *_GROUPS, "switch", "use", "svg") and not (tag == "symbol" and around.sizes[0]):
+        if tag not in (*SHAPES, *GROUPS, "switch", "use", "svg") and not (tag == "symbol" and around.sizes[0]):
             return  # definitions, and what has no shape
         matrix = around.matrix
         if style["transform"] != "none":
