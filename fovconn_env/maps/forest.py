@@ -11,8 +11,9 @@ import pymunk
 
 from fovconn_env.bounds import check_numbers, check_order, number, settings_group, vector
 from fovconn_env.errors import SettingError, rule
-from fovconn_env.maps.obstacles import HIGH, LOW, SIZE, Map, rounded_shape
+from fovconn_env.maps.obstacles import HIGH, LOW, SIZE, Map
 from fovconn_env.maps.outlines import checked_array, checked_length
+from fovconn_env.maps.shapes import rounded_shape
 
 MAX_TRIES = 1000  # places drawn for one obstacle before giving up
 

@@ -14,10 +14,20 @@ import pymunk
 from fovconn_env.errors import SettingError, is_list, rule
 from fovconn_env.kernel.records import PIECE
 from fovconn_env.maps.files import check_call, read_contents, write_entries
-from fovconn_env.maps.outlines import Short, checked_array, checked_length, checked_outline, convex_pieces
+from fovconn_env.maps.outlines import Short, checked_array
 from fovconn_env.maps.report import MapReport
+from fovconn_env.maps.shapes import (
+    HIGH,
+    LOW,
+    MAKERS,
+    circle_shapes,
+    copies,
+    core_of,
+    method_call,
+    polygon_shapes,
+    wall_shapes,
+)
 
-LOW, HIGH = -100.0, 100.0  # m, an obstacle's height interval by default
 SIZE = "metres; way points are 1000 m apart at most"  # the reason for the bounds of random maps
 
 
@@ -50,7 +60,7 @@ class Map:
             added = []
             for shape in shapes:
                 try:
-                    added += _copies(shape)
+                    added += copies(shape)
                 except (TypeError, ValueError) as error:
                     raise SettingError(f"Map.from_space cannot take {shape}: {error}") from error
             result._place(added)
@@ -106,7 +116,7 @@ class Map:
         """Every obstacle as the calls (method, arguments) that add its shapes, as `obstacle` takes them; JSON types."""
         calls: dict[int, list[tuple[str, dict[str, Any]]]] = {}  # by source
         for shape in self.space.shapes:
-            call = _method_call(shape)
+            call = method_call(shape)
             if call is not None:
                 calls.setdefault(shape.source, []).append(call)
         return list(calls.values())
@@ -122,26 +132,26 @@ class Map:
             rule(pair, f"shape {k} of an obstacle", "a pair of shape and arguments", Short(call), "see Map.obstacles")
             check_call(f"shape {k} of an obstacle", *call)
             method, arguments = call
-            added += _MAKERS[method](**arguments)
+            added += MAKERS[method](**arguments)
         return self._place(added)
 
     def circle(self, center: npt.ArrayLike, radius: float, *, low: float = LOW, high: float = HIGH) -> Self:
         """Add a pillar: center (2,) and radius, m; low and high, m, its height interval."""
-        return self._place(_circle(center, radius, low=low, high=high))
+        return self._place(circle_shapes(center, radius, low=low, high=high))
 
     def wall(
         self, start: npt.ArrayLike, end: npt.ArrayLike, thickness: float, *, low: float = LOW, high: float = HIGH
     ) -> Self:
         """Add a wall with round ends from start (2,) to end (2,), m; thickness, m, is twice the radius of the ends."""
-        return self._place(_wall(start, end, thickness, low=low, high=high))
+        return self._place(wall_shapes(start, end, thickness, low=low, high=high))
 
     def polygon(self, outline: npt.ArrayLike, radius: float = 0.0, *, low: float = LOW, high: float = HIGH) -> Self:
         """Add a polygon: outline (n, 2) m, its corners in order, convex or not; radius, m, rounds it outwards."""
-        return self._place(_polygon(outline, radius, low=low, high=high))
+        return self._place(polygon_shapes(outline, radius, low=low, high=high))
 
     def flatten(self) -> tuple[np.ndarray, np.ndarray]:
         """Arrays for the kernels: pieces (P,) PIECE, those of one obstacle adjacent, and vertices (V, 2), m."""
-        cores = [_core(shape) for shape in self.space.shapes]
+        cores = [core_of(shape) for shape in self.space.shapes]
         pieces = np.zeros(len(cores), PIECE)
         first = 0
         for k, (shape, core) in enumerate(zip(self.space.shapes, cores, strict=True)):
@@ -187,91 +197,3 @@ class Map:
             self.space.add(shape)
         self._count += bool(shapes)
         return self
-
-
-def _circle(center: npt.ArrayLike, radius: float, *, low: float = LOW, high: float = HIGH) -> list[pymunk.Shape]:
-    core = checked_array("Map.circle center", center, (2,)).tolist()
-    return _shapes("Map.circle", [[core]], radius, low, high)
-
-
-def _wall(
-    start: npt.ArrayLike, end: npt.ArrayLike, thickness: float, *, low: float = LOW, high: float = HIGH
-) -> list[pymunk.Shape]:
-    ends = {"start": start, "end": end}
-    core = [checked_array(f"Map.wall {name}", point, (2,)).tolist() for name, point in ends.items()]
-    if core[0] == core[1]:
-        raise SettingError(f"Map.wall end must differ from start, got {end} for both: a pillar is a Map.circle")
-    thickness = checked_length("Map.wall thickness", thickness, above=0.0)
-    return _shapes("Map.wall", [core], thickness / 2, low, high)
-
-
-def _polygon(
-    outline: npt.ArrayLike, radius: float = 0.0, *, low: float = LOW, high: float = HIGH
-) -> list[pymunk.Shape]:
-    checked_length("Map.polygon radius", radius, least=0.0)
-    corners = checked_array("Map.polygon outline", outline, (-1, 2))
-    pieces = convex_pieces(checked_outline("Map.polygon outline", corners))
-    shapes = _shapes("Map.polygon", [piece.tolist() for piece in pieces], radius, low, high)
-    for k, shape in enumerate(shapes):
-        shape.outline = [] if k else corners.tolist()  # `obstacles` returns the polygon once, for its first piece
-    return shapes
-
-
-_MAKERS = {"circle": _circle, "wall": _wall, "polygon": _polygon}
-
-
-def _shapes(name: str, cores: list[list], radius: float, low: float, high: float) -> list[pymunk.Shape]:
-    """Rounded convex cores of one height interval, checked, without a body."""
-    if len(cores[0]) < 3:
-        checked_length(f"{name} radius", radius, above=0.0)
-    low = checked_length(f"{name} low", low)
-    high = checked_length(f"{name} high", high, above=low)
-    shapes = [rounded_shape(core, float(radius)) for core in cores]
-    for shape in shapes:
-        shape.height = (low, high)
-    return shapes
-
-
-def _copies(shape: pymunk.Shape) -> list[pymunk.Shape]:
-    """Copies of a shape of another space, at the shape's place in the world frame."""
-    if shape.body is None or shape.body.body_type != pymunk.Body.STATIC:
-        raise SettingError("its body must be static: obstacles stand still")
-    core = [tuple(shape.body.local_to_world(corner)) for corner in _core(shape)]
-    low, high = getattr(shape, "height", (LOW, HIGH))
-    if isinstance(shape, pymunk.Circle):
-        return _circle(core[0], shape.radius, low=low, high=high)
-    if isinstance(shape, pymunk.Segment):
-        return _wall(core[0], core[1], 2 * shape.radius, low=low, high=high)
-    return _polygon(core, shape.radius, low=low, high=high)
-
-
-def _method_call(shape: pymunk.Shape) -> tuple[str, dict[str, Any]] | None:
-    """The call (method of Map, arguments) that adds a shape; None for all but the first piece of a polygon."""
-    low, high = shape.height
-    heights = {"low": low, "high": high}
-    if isinstance(shape, pymunk.Circle):
-        return "circle", {"center": list(shape.offset), "radius": shape.radius, **heights}
-    if isinstance(shape, pymunk.Segment):
-        return "wall", {"start": list(shape.a), "end": list(shape.b), "thickness": 2 * shape.radius, **heights}
-    if not shape.outline:
-        return None
-    return "polygon", {"outline": shape.outline, "radius": shape.radius, **heights}
-
-
-def _core(shape: pymunk.Shape) -> list[pymunk.Vec2d]:
-    """Corners of a shape's convex core in its body's frame, counter-clockwise."""
-    if isinstance(shape, pymunk.Circle):
-        return [shape.offset]
-    if isinstance(shape, pymunk.Segment):
-        return [shape.a, shape.b]
-    assert isinstance(shape, pymunk.Poly)
-    return shape.get_vertices()
-
-
-def rounded_shape(core: list, radius: float) -> pymunk.Shape:
-    """Shape without a body: a convex core of 1, 2 or more corners, grown by a radius, m."""
-    if len(core) == 1:
-        return pymunk.Circle(None, radius, core[0])
-    if len(core) == 2:
-        return pymunk.Segment(None, core[0], core[1], radius)
-    return pymunk.Poly(None, core, radius=radius)
