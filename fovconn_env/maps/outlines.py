@@ -19,6 +19,7 @@ _STRAIGHT = 1e-9  # rad, a corner that turns by less counts as straight
 _NEAR = 1e-6  # of an outline's larger side: a corner nearer than this to the one before it is the same corner
 _MAX_TESTS = 4  # of cuts, for each corner of an outline, and 500 more; ordinary outlines need less than one
 FAR = 1e6  # m, no coordinate is larger
+MAX_POLYGON = 10_000  # of an outline: each pair of its edges is compared, in memory
 MAX_OUTLINE = 1000  # corners of one outline of a file: the time to cut it into convex pieces grows with their square
 
 
@@ -68,7 +69,10 @@ def checked_outline(field: str, outline: npt.ArrayLike) -> np.ndarray:
     one corner: sums of relative coordinates miss where they started. Raises ValueError unless the outline is simple and
     has an area.
     """
-    corners = _distinct(checked_array(field, outline, (-1, 2)))
+    corners = checked_array(field, outline, (-1, 2))
+    if len(corners) > MAX_POLYGON:
+        raise SettingError(f"{field} must have at most {MAX_POLYGON} corners, got {len(corners)}: simplify it")
+    corners = _distinct(corners)
     if len(corners) < 3:
         raise SettingError(f"{field} must have at least 3 different corners, got {len(corners)}: a wall needs only 2")
     spans = corners - corners[0]

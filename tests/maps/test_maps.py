@@ -140,6 +140,7 @@ def test_convex_outline_stays_one_piece_also_with_straight_and_repeated_corners(
         (lambda m: m.polygon([*U, *U]), "must not cross or touch itself"),
         (lambda m: m.polygon([(0, 0), (1, 0), (0, math.inf)]), r"outline must be \(n, 2\) finite numbers"),
         (lambda m: m.polygon([(0, 0), (1,), (0, 1)]), "outline must be"),
+        (lambda m: m.polygon(np.zeros((10_001, 2))), "Map.polygon outline must have at most 10000 corners, got 10001"),
         (lambda m: m.polygon(U, -0.1), "Map.polygon radius must be at least 0, got -0.1"),
         (lambda m: m.polygon(U, low=1, high=0), "Map.polygon high must be above 1, got 0"),
         (lambda m: m.clearance([(0, 0)]), r"Map.clearance points must be \(n, 3\) finite numbers"),
