@@ -46,7 +46,7 @@ EXTRAS = {
     **dict.fromkeys(("matplotlib", "PIL", "pygame"), "render"),
     **dict.fromkeys(("av", "pyarrow"), "export"),
     "rerun": "rerun",
-    **dict.fromkeys(("torch", "stable_baselines3", "tensorboard"), "learn"),
+    **dict.fromkeys(("torch", "stable_baselines3", "tensorboard", "tqdm"), "learn"),
 }
 
 

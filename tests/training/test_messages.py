@@ -1,5 +1,6 @@
 """How `fovconn` ends when something goes wrong: one line for what the user can put right, else a traceback."""
 
+import ast
 import os
 import re
 import subprocess
@@ -122,6 +123,8 @@ def test_errors_keep_the_types_that_python_code_catches():
         (("train", "record", "--out", "a/b.npz"), "a"),
         (("eval", "--out", "a/b"), "a/b"),
         (("demo", "--out", "a/b"), "a/b"),
+        (("demo", "--out", "a"), "--out must name a folder"),
+        (("eval", "--seeds", "0-99999999999"), "seeds must be at most 1000000"),
         (("figures", "--map", "no.json"), "no.json"),
         (("bench", "--quick", "--json", "/dev/full"), "/dev/full"),
     ],
@@ -130,6 +133,28 @@ def test_a_path_that_cannot_be_used_is_named(words, path, fovconn, tmp_path, mon
     (tmp_path / "a").write_text("a file")
     monkeypatch.setattr(bench, "_alone", lambda *_: {})
     one_line(fovconn(*words), path)
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252", "utf-8"])
+def test_any_encoding_of_the_terminal_will_do(encoding, tmp_path):
+    variables = {**os.environ, "PYTHONIOENCODING": encoding, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "fovconn_env.training.cli", "list"]
+    done = subprocess.run(command, cwd=tmp_path, env=variables, capture_output=True)
+    assert done.returncode == 0, done.stderr
+    assert b"Corridor-v0" in done.stdout
+
+
+def test_what_is_refused_has_an_error_of_its_own():
+    """No plain ValueError, TypeError or OSError is raised outside of what reads bytes and what compiles."""
+    sources = [file for room in ("fovconn_env", "baselines", "training") for file in (ROOT / room).rglob("*.py")]
+    assert len(sources) > 200
+    plain = set()
+    for file in sources:
+        for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+            raised = node.exc.func if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call) else None
+            if isinstance(raised, ast.Name) and raised.id in ("ValueError", "TypeError", "OSError", "Exception"):
+                plain.add(file.name)
+    assert plain <= {"npz.py", "jit.py"}
 
 
 def test_a_full_disk_names_the_file_that_was_to_be_written(fovconn, monkeypatch):

@@ -107,14 +107,19 @@ class Pipes(NamedTuple):
         return json.loads(line)
 
 
+def check_tree(tree: Path) -> None:
+    """`SettingError` for a folder that is no tree of this project."""
+    if not (tree / "fovconn_env").is_dir():
+        raise SettingError(f"--baseline must be a checkout of this project, got {str(tree)!r}: it has no fovconn_env")
+
+
 @contextmanager
 def running(tree: Path, program: str, arguments: Any) -> Iterator[Pipes]:
     """Run a program in a tree, which finds `arguments` (as JSON gives them back) under that name; wait for its end.
 
     Raises `ValueError` if the tree is none of this project, `RuntimeError` with what the program said if it fails.
     """
-    if not (tree / "fovconn_env").is_dir():
-        raise SettingError(f"--baseline must be a checkout of this project, got {str(tree)!r}: it has no fovconn_env")
+    check_tree(tree)
     variables = {**os.environ, "PYTHONPATH": str(tree.resolve())}
     command = [sys.executable, "-P", "-c", textwrap.dedent(PRELUDE) + textwrap.dedent(program)]
     with tempfile.TemporaryFile("w+", encoding="utf-8") as errors:

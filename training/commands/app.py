@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import sys
 import traceback
 from pathlib import Path
@@ -13,7 +14,7 @@ import typer
 import fovconn_env
 from fovconn_env.errors import FovconnError, PolicyError, missing_package, place_of
 from fovconn_env.training.commands import bench, demo, evaluate, figures, listing, play, replay, train
-from fovconn_env.training.commands.screen import out, say_error
+from fovconn_env.training.commands.screen import err, out, say_error
 from fovconn_env.training.evaluation.campaign import Interrupted
 
 _PACKAGE = Path(fovconn_env.__file__).parent
@@ -41,6 +42,9 @@ app.add_typer(train.app, name="train")
 
 def main() -> None:
     """Run the command. What the user can put right ends it with one line and status 2, the rest with a traceback."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # where it takes no degree sign, or no half of a letter
     try:
         app(standalone_mode=True)
     except FovconnError as problem:
@@ -53,7 +57,7 @@ def main() -> None:
         line = one_line(problem)
         say_error(line or whose_fault(problem))
         if not line:
-            traceback.print_exception(problem)
+            err.print("".join(traceback.format_exception(problem)), soft_wrap=True)
         sys.exit(2 if line else 1)
 
 

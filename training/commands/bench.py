@@ -95,7 +95,9 @@ def _beside(baseline: Path, base: str, settings: dict[str, Any], effort: Effort,
     """Time this tree beside another and show what came out: the record."""
     from fovconn_env.training.bench.paired import PAIRED, USUAL, compare_speed, record
     from fovconn_env.training.bench.report import bar_table
+    from fovconn_env.training.bench.trees import check_tree
 
+    check_tree(baseline)
     groups = check_groups(only or USUAL, PAIRED)
     with progress() as bar:
         task = bar.add_task("timing", total=None)

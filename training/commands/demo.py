@@ -14,6 +14,7 @@ from fovconn_env.training.commands.options import (
     RecordFile,
     ScenarioName,
     Settings,
+    check_folder,
     check_recording,
     parse,
 )
@@ -36,6 +37,7 @@ def command(
     chosen = scenario(scenario_name, **parse(settings))
     find_policy(policy)
     check_installed("demo")
+    check_folder(folder)
     check_recording(recording_file)
     folder.mkdir(parents=True, exist_ok=True)
     with progress() as bar:

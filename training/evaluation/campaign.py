@@ -25,6 +25,7 @@ DEV_SEEDS = range(320)  # frozen: development; a held-out set is kept apart
 # as it is, sight hidden, parts that fail, a narrow field of view: each parts other policies
 QUICK = ("LeaderFollow-v0", "LeaderObstacles-v0", "Blackout-v0", "NarrowCamera-v0")
 SUITES = {"quick": (QUICK, DEV_SEEDS[:32]), "full": (tuple(PRESETS), DEV_SEEDS)}  # scenarios and seeds, of all policies
+MOST_SEEDS = 1_000_000  # in a part of a list
 BLOCK = 64  # episodes flown at once by a process
 MOST_SEEDS = 1_000_000
 _POLL = 0.1  # s
@@ -53,6 +54,8 @@ def parse_seeds(text: str) -> list[int]:
         rule(small, "seeds", "at most 2**63 - 1", part, "a flight's files hold them")
         if not plain or int(last) < int(low):
             raise SettingError(f"seeds must be like 0-319, 7 or 0-31,100-131, got {text!r}: {part!r} is no such part")
+        if int(high or low) - int(low) >= MOST_SEEDS:
+            raise SettingError(f"seeds must be at most {MOST_SEEDS}, got {part!r}: that many episodes take days")
         numbers = range(int(low), int(last) + 1)
         rule(len(seeds) + len(numbers) <= MOST_SEEDS, "seeds", f"{MOST_SEEDS} at most", text, "each is an episode")
         seeds |= dict.fromkeys(numbers)
