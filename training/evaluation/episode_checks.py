@@ -1,0 +1,34 @@
+"""What a file of finished episodes must hold, whoever wrote it. Raises `SettingError`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from fovconn_env.errors import rule
+from fovconn_env.fields import check_array, check_keys
+from fovconn_env.flights.metrics import ERRORS, N_BINS
+from fovconn_env.training.evaluation.flights import MEANS, SHARES
+from fovconn_env.training.evaluation.record import UNITS
+
+_NEEDED = ("seeds", "histograms", *SHARES, *MEANS, "least_separation", "yaw_rms_mutual", "yaw_rms_one_way")
+_OTHERS = tuple(name for names in UNITS for name in names.split())
+
+
+def check_episodes(arrays: Mapping[str, np.ndarray], *, others: tuple[str, ...] = ()) -> None:
+    """Seeds, each once, histograms, and a number for each measure and seed; others: further (E,) int64 arrays."""
+    check_keys("arrays", arrays, (*_NEEDED, *others), _OTHERS)
+    check_array("seeds", arrays["seeds"], "i8", (-1,))
+    seeds = arrays["seeds"]
+    once = bool((seeds >= 0).all()) and len(np.unique(seeds)) == len(seeds)
+    rule(once, "seeds", "at least 0, each once", seeds[:3].tolist(), "one an episode")
+    for name, array in arrays.items():
+        if name == "histograms":
+            check_array(name, array, "u4", (len(seeds), len(ERRORS), N_BINS))
+            continue
+        check_array(name, array, "i8" if name in ("seeds", *others) else "f8", (len(seeds),), finite=False)
+        rule(not np.isinf(array).any(), name, "numbers or NaN", "infinity", "a measure without a value is NaN")
+    for name in SHARES:
+        known = bool(np.isin(arrays[name], (0.0, 1.0)).all())
+        rule(known, name, "0 or 1", arrays[name][:3].tolist(), "yes or no")
