@@ -131,12 +131,13 @@ class _OneLine(reprlib.Repr):
         return super().repr1(x, level)
 
 
-_ONE_LINE = _OneLine()
+_ONE_LINE, _LONG = _OneLine(), 400
 
 
 def shown(value: object) -> str:
     """A value for a message: its repr on one line, shortened."""
-    return " ".join(_ONE_LINE.repr(value).split())
+    text = " ".join(_ONE_LINE.repr(value).split())
+    return text if len(text) <= _LONG else f"{text[:_LONG]}..."
 
 
 def rule(holds: bool, field: str, says: str, value: object, hint: str) -> None:

@@ -160,7 +160,8 @@ def mutated(header, rng):
         elif change == 2 and isinstance(place, list):
             place[key:key] = [copy.deepcopy(value)] * rng.choice((1, 2, 1000))
         elif change == 3 and type(value) in (int, float):
-            place[key] = rng.choice((-value, value * 10 ** rng.randrange(1, 40), float(value), value + 1, str(value)))
+            half = value // 2 + 0.5 if abs(value) < 1e300 else 0
+            place[key] = rng.choice((-value, value * 10 ** rng.randrange(1, 40), half, value + 1))
         elif change == 4:
             place[key] = copy.deepcopy(other)
         else:
