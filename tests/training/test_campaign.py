@@ -48,6 +48,20 @@ def test_same_numbers_on_any_number_of_processes(blocks):
     assert told[-1] == len(CELLS) * len(seeds)
 
 
+def test_seeds_of_an_evaluation_may_be_of_any_integer_type():
+    wanted = evaluate("expert", TASK, [254, 255])
+    for seeds in (np.array([254, 255], np.uint8), (np.uint8(254), np.int16(255)), range(254, 256)):
+        found = evaluate("expert", TASK, seeds)
+        same(found, wanted)
+        assert {type(seed) for seed in found.seeds} == {int}
+    for wrong in ([], np.array([])):
+        with pytest.raises(ValueError, match="seeds must be one at least"):
+            evaluate("expert", TASK, wrong)
+    for wrong in ([1.0], [True], [2**63], ["7"], [-1]):
+        with pytest.raises(ValueError, match="seed must be"):
+            evaluate("expert", TASK, wrong)
+
+
 def test_what_is_there_is_not_flown_again(tmp_path, monkeypatch, blocks):
     first = fly_cells(CELLS[:1], range(4), folder=tmp_path)
     file = next(tmp_path.iterdir())

@@ -125,6 +125,12 @@ def test_pace_of_a_computer_that_keeps_up(speed, steps):
     assert pace.rate == pytest.approx(60.0)
 
 
+def test_the_next_seed_of_a_small_integer_type():
+    session = Session("ScaleUp-v0", "expert", np.uint8(255), changes=QUICK)
+    assert session.new_seed() == "flight 256"
+    assert session.simulator.seeds == [256]
+
+
 @pytest.mark.parametrize("step, most", [(0.001, 200), (0.05, 4), (0.1, 2), (0.5, 1)])
 def test_pace_of_other_clocks(step, most):
     """Short steps make no computer slow, and long ones do not come several at once."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from fovconn_env import Recorder, Recording, Scenario
 from fovconn_env.baselines import POLICIES, Policy, find_policy
+from fovconn_env.errors import rule
 from fovconn_env.flights.metrics import ERRORS, Meter, quantile
 from fovconn_env.flights.rollout import Observer, rollout
 from fovconn_env.text import literal
@@ -37,6 +38,7 @@ def evaluate(
     progress: Callable[[float], None] | None = None,
 ) -> Evaluation:
     """Fly a policy, by name or class, once from every seed. `progress` is told the number of episodes done."""
+    rule(len(seeds) > 0, "seeds", "one at least", list(seeds), "each is an episode")
     parts = []
     for first in range(0, len(seeds), BATCH):
 
@@ -68,7 +70,7 @@ def fly(
             break
     done = meter.simulator.over
     episodes = {name: values[done] for name, values in meter.results().items()}
-    finished = [seed for seed, over in zip(seeds, done, strict=True) if over]
+    finished = [seed for seed, over in zip(meter.simulator.seeds, done, strict=True) if over and seed is not None]
     return Evaluation(label(policy), scenario, finished, episodes, meter.histograms()[done])
 
 

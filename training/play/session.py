@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import operator
 from pathlib import Path
 from typing import Any
 
@@ -242,7 +243,7 @@ class Session:
         if not saved:
             self.save()
         self.simulator.reset(seed)
-        self.seed = seed
+        self.seed = operator.index(seed)
         self._flights += 1
         self._policy.reset()
         self._meter, self._recorder = Meter(), Recorder()
