@@ -157,6 +157,9 @@ def test_copies_go_on_identically(build, clone):
     for one in (env, twin):
         one.reset()
     assert digest(twin.simulator) == digest(env.simulator)
+    if build is not JointEnv:
+        twin.set_attr("max_cycles", 3)  # of the copy's own worlds
+        assert (env.simulator.max_cycles, twin.simulator.max_cycles) == (7, 3)
 
 
 def test_worlds_are_the_single_ones():

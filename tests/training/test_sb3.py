@@ -1,6 +1,8 @@
 """Stable-Baselines3's view of the environment; runs where it is installed (extra `learn`)."""
 
+import copy
 import csv
+import pickle
 import threading
 
 import gymnasium
@@ -300,6 +302,20 @@ def test_methods_by_name():
     for name in ("reset", "step", "close", "anything"):
         with pytest.raises(AttributeError, match=f"no attribute '{name}'"):
             env.env_method(name)
+
+
+@pytest.mark.parametrize("clone", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"])
+def test_copies_go_on_identically_and_share_nothing(clone):
+    env = make_vec_env(MIXED, n_worlds=3, seed=1, monitor=False, **SHORT)
+    env.reset()
+    twin = clone(env)
+    actions = np.random.default_rng(0).uniform(-0.3, 0.3, (9, 11, 4))
+    here = [env.step(action)[0] for action in actions]
+    there = [twin.step(action)[0] for action in actions]
+    np.testing.assert_array_equal(here, there)
+    twin.set_attr("max_cycles", 5)
+    assert env.get_attr("max_cycles", 0) == [7]
+    np.testing.assert_array_equal(twin.env_method("poses", indices=0)[0], twin.teams[0].simulator.poses()[0])
 
 
 def test_pictures_of_the_worlds():
