@@ -73,6 +73,16 @@ def test_pettingzoos_generator_is_apart_from_the_worlds():
         assert clone.np_random.random() == copy.deepcopy(twin).np_random.random()
 
 
+@pytest.mark.parametrize("build", ALL.values(), ids=ALL)
+def test_settings_as_plain_data(build):
+    """As JSON and YAML have them; under `base` where Gymnasium's own name comes first."""
+    data = {"name": "Mine-v0", "n_agents": 3, "camera": {"a_min": 0.5}, "faults": [{"kind": "radio"}]}
+    env = build(base=data) if build in (ALL["make"], ALL["make_vec"]) else build(data)
+    assert env.unwrapped.scenario.camera.a_min == 0.5
+    assert env.unwrapped.scenario.faults[0].kind == "radio"
+    assert build(camera={"a_min": 0.5}).unwrapped.scenario.camera.a_min == 0.5
+
+
 # --------------------------------------------------------------------------------------------------------- options
 @pytest.mark.parametrize("key", ["pose", "Poses", "posess", "poses ", "POSES"])
 @pytest.mark.parametrize("build", ALL.values(), ids=ALL)

@@ -197,6 +197,12 @@ def test_rows_of_several_scenarios():
         env.unwrapped.simulator  # noqa: B018
 
 
+def test_scenarios_as_plain_data():
+    data = {"name": "Mine-v0", "n_agents": 3, "camera": {"a_min": 0.5}}
+    for base in (data, [data], [data, "ScaleUp-v0"]):
+        assert make_vec_env(base, n_worlds=2, **SHORT).get_attr("scenario")[0].camera.a_min == 0.5
+
+
 @pytest.mark.parametrize("wrong, message", [
     ({"base": []}, "scenarios must be one at least"),
     ({"base": MIXED, "n_worlds": 1}, "n_worlds must be at least 2, got 1: each scenario needs a world"),

@@ -15,7 +15,7 @@ from fovconn_env.envs.options import read_options
 from fovconn_env.envs.viewer import frame_rate
 from fovconn_env.envs.world import World, set_shared, worlds_of
 from fovconn_env.errors import SettingError, as_numbers, rule
-from fovconn_env.scenarios.keywords import Settings, check_keywords
+from fovconn_env.scenarios.keywords import Part, Settings, check_keywords
 from fovconn_env.sim.seeds import Seed, world_seeds
 from fovconn_env.training.sb3.teams import (
     EPISODE_KEYS,
@@ -213,7 +213,7 @@ class Monitor(VecMonitor):
 
 
 def make_vec_env(
-    base: str | Scenario | Sequence[str | Scenario] = "LeaderFollow-v0",
+    base: str | Scenario | Part | Sequence[str | Scenario | Part] = "LeaderFollow-v0",
     n_worlds: int = 64,
     seed: Seed = None,
     *,
@@ -229,7 +229,7 @@ def make_vec_env(
     change. state adds the privileged state for a critic: see `AsymmetricPolicy`.
     """
     check_keywords("make_vec_env", settings, ("n_worlds", "seed", "state", "monitor", "render_mode", "n_threads"))
-    chosen = [base] if isinstance(base, (str, Scenario)) else base
+    chosen = [base] if isinstance(base, (str, Scenario, Mapping)) else base
     scenarios = [scenario(one, **settings) for one in chosen]
     env = RobotsVecEnv(scenarios, n_worlds, state=state, render_mode=render_mode, n_threads=n_threads)
     env.seed(seed)
