@@ -316,9 +316,14 @@ LINK = '<a class="a"/>'
         ),
         ("a.json", "[" * 4_000_000, "must be JSON"),
         ("a.json", "{" + ",".join(f'"{k % 300_000}":1' for k in range(300_001)) + "}", "'0' is there twice"),
+        ("a.svg", f'{HEAD}<path d="M0 0{"l0 0" * 90_000}"/></svg>', "shapes that are seen, got none"),
+        ("a.svg", f'{HEAD}<circle r="{"9" * 4_000_000}x"/></svg>', "r must be a finite number"),
+        ("a.svg", f'{HEAD}<circle r="x" fill="rgba(1,{"0" * 4_000_000}x)"/></svg>', "r must be a finite number"),
+        ("a.svg", f'{HEAD}<circle r="1" transform="scale({"9" * 4_000_000}x)"/></svg>', "transform must be like"),
+        ("a.svg", f'{HEAD}<path d="M0 0h{"9" * 4_000_000}x"/></svg>', "its coordinates must be finite"),
         ("a.json", '{"format":"fovconn-map","version":1,"obstacles":[' + "9" * 4_000_000 + "]}", "must be an object"),
     ],
-    ids=range(15),
+    ids=range(20),
 )
 def test_what_would_take_minutes_is_refused_with_its_limit(tmp_path, name, text, limit):
     (tmp_path / name).write_text(text)

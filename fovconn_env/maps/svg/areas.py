@@ -21,11 +21,13 @@ def closed_outlines(chains: Sequence[Chain], tolerance: float, shown: object) ->
     """
     outlines = []
     for corners, _ in chains:
-        first, begin = corners[0], 0
-        for k in range(1, len(corners)):
-            if corners[k] == first and any(corner != first for corner in corners[begin:k]):
+        first, begin, away = corners[0], 0, False
+        for k, corner in enumerate(corners):
+            if corner != first:
+                away = True
+            elif away:
                 outlines.append(as_array(corners[begin:k]))
-                begin = k
+                begin, away = k, False
         if begin < len(corners) - 1:
             gap = abs(corners[-1] - first)
             hint = f"it ends {gap:g} from its start: close it with Z; or strokes=True takes its line as a wall"
@@ -86,7 +88,7 @@ def filled_pieces(rings: Sequence[np.ndarray], fill_rule: str, spend: Callable[[
     crossings = _crossings(low, high, spend)
     levels = _levels(np.concatenate([low[:, 1], high[:, 1], crossings]), _NEAR * np.ptp(a, axis=0).max())
     span = _nearest(levels, low), _nearest(levels, high)
-    spend(len(low) * len(levels) // 20_000)
+    spend(3 * len(levels) + len(low) * len(levels) // 5000)
     odd = fill_rule == "evenodd" or (fill_rule != "nonzero" and len(crossings) == 0)
     return _trapezoids(low, high, np.where(up, 1, -1), span, levels, odd)
 
@@ -124,7 +126,7 @@ def _crossings(low: np.ndarray, high: np.ndarray, spend: Callable[[int], None]) 
     with np.errstate(all="ignore"):
         share, share_other = _cross(gap, other) / turn, _cross(gap, ray) / turn
         inside = (share > _FLAT) & (share < 1 - _FLAT) & (share_other > _FLAT) & (share_other < 1 - _FLAT)
-    return (low[i] + share[:, None] * ray)[inside, 1]
+    return low[i[inside], 1] + share[inside] * ray[inside, 1]
 
 
 def _trapezoids(

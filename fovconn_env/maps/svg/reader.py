@@ -106,7 +106,9 @@ class _Reader:
         )
 
     def _hide(self, element: Element) -> None:
-        self.left_out["hidden"] += sum(each.tag in (*SHAPES, "use") for each in element.walk())
+        count = sum(each.tag in (*SHAPES, "use") for each in element.walk())
+        if count:
+            self.left_out["hidden"] += count
 
     def _spend(self, corners: int) -> None:
         self.work += corners

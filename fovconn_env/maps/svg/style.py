@@ -42,9 +42,9 @@ _OWN = _NUMBERS | {
 _UNREAD = {"translate": "none", "rotate": "none", "scale": "none", "offset-path": "none", "d": "none", "zoom": "1"}
 _ALL = _INHERITED | _OWN
 _INVISIBLE = re.compile(
-    r"none|transparent|(?:rgb|hsl)a?\(.*[,/]\s*\+?(?:0+\.?0*|\.0+)%?\s*\)|#[0-9a-f]{3}0|#[0-9a-f]{6}00"
+    r"none|transparent|(?:rgb|hsl)a?\(.*[,/]\s*\+?(?:0+(?:\.0*)?|\.0+)%?\s*\)|#[0-9a-f]{3}0|#[0-9a-f]{6}00"
 )
-_LENGTH = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:px)?")
+_LENGTH = re.compile(r"([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)(?:px)?")
 
 Style = Mapping[str, str]
 

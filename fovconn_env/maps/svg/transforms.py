@@ -10,7 +10,7 @@ from fovconn_env.errors import SettingError, rule
 from fovconn_env.maps.outlines import Short
 from fovconn_env.maps.svg.style import Style, length
 
-NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"  # no digit can match in two ways, which takes long
 _CALL = re.compile(r"[\s,]*([A-Za-z]\w*)\s*\(([^()]*)\)")
 _VALUE = re.compile(rf"\s*,?\s*({NUMBER})(px|deg|rad|grad|turn)?")
 _DEGREES = {"": 1.0, "deg": 1.0, "rad": 180.0 / np.pi, "grad": 0.9, "turn": 360.0}
