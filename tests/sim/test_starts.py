@@ -339,3 +339,18 @@ def test_starts_that_do_not_fit_are_refused(case):
     with pytest.raises(ValueError, match="poses must be left out where starts are given"):
         batch.reset(2, starts=drawn(task, 1), poses=batch.poses()[0])
     assert differing(snapshot(batch, 1), before) == []
+
+
+def test_draws_that_are_too_dense_are_not_tested_in_a_world(monkeypatch):
+    """In a large team most are; the start that is found stays the same."""
+    settings, tested = scenario(n_agents=34), []
+    assess = starts.StartSampler.assess
+    monkeypatch.setattr(starts.StartSampler, "assess", lambda *args: tested.append(1) or assess(*args))
+    found = {}
+    for large in (16, 1000):
+        monkeypatch.setattr("fovconn_env.sim.starts.LARGE", large)
+        start = starts.StartSampler(settings).draw(np.random.default_rng(4))
+        found[large] = start.poses, len(tested)
+        tested.clear()
+    np.testing.assert_array_equal(found[16][0], found[1000][0])
+    assert found[16][1] < found[1000][1] / 3
