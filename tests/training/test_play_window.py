@@ -434,7 +434,8 @@ def test_without_pygame_the_extra_is_named(fovconn, monkeypatch):
 @pytest.mark.parametrize(
     "words, message",
     [
-        (("--size", "640"), "--size must be at least 320x240, got '640': write 1280x720"),
+        (("--size", "640"), "--size must be at least 320x240 and at most 7680x4320, got '640': write 1280x720"),
+        (("--size", "99999x99999"), "and at most 7680x4320"),
         (("--size", "100x100"), "--size must be at least 320x240"),
         (("--theme", "blue"), "--theme must be one of light, dark, got 'blue'"),
         (("--record", "x.txt"), "--record must name a file in .npz, got 'x.txt'"),

@@ -13,7 +13,7 @@ from fovconn_env.training.commands.options import PolicyName, ScenarioName, Sett
 from fovconn_env.training.commands.screen import err, say_written
 from fovconn_env.training.play.session import Session
 
-LEAST = 320, 240  # px, the smallest page of `render.view`
+LEAST, MOST = (320, 240), (7680, 4320)  # px; the smallest page of `render.view`
 
 
 def command(
@@ -52,6 +52,8 @@ def command(
 def _size(text: str) -> tuple[int, int]:
     """Width and height, px, of "1280x720"."""
     width, _, height = text.lower().partition("x")
-    if not (width.isdecimal() and height.isdecimal() and int(width) >= LEAST[0] and int(height) >= LEAST[1]):
-        raise SettingError(f"--size must be at least {LEAST[0]}x{LEAST[1]}, got {text!r}: write 1280x720")
+    plain = width.isdecimal() and height.isdecimal() and max(len(width), len(height)) < 6
+    if not (plain and LEAST[0] <= int(width) <= MOST[0] and LEAST[1] <= int(height) <= MOST[1]):
+        says = f"at least {LEAST[0]}x{LEAST[1]} and at most {MOST[0]}x{MOST[1]}"
+        raise SettingError(f"--size must be {says}, got {text!r}: write 1280x720")
     return int(width), int(height)
