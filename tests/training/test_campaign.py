@@ -48,6 +48,14 @@ def test_same_numbers_on_any_number_of_processes(blocks):
     assert told[-1] == len(CELLS) * len(seeds)
 
 
+def test_files_of_a_scenario_with_any_name_stay_in_their_folder(tmp_path):
+    out, cell = tmp_path / "a" / "out", Cell("expert", scenario(TASK, name="../../x/y: ü", max_cycles=2))
+    fly_cells([cell], [0], folder=out, recordings=out)
+    assert sorted(path.suffix for path in out.iterdir()) == [".npz", ".npz"]
+    assert [path for path in tmp_path.rglob("*") if path.is_file() and path.parent != out] == []
+    assert Shelf(out).load(cell).seeds == [0]
+
+
 def test_seeds_of_an_evaluation_may_be_of_any_integer_type():
     wanted = evaluate("expert", TASK, [254, 255])
     for seeds in (np.array([254, 255], np.uint8), (np.uint8(254), np.int16(255)), range(254, 256)):

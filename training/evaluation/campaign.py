@@ -18,6 +18,7 @@ from fovconn_env import PRESETS, Recorder, Scenario
 from fovconn_env.baselines import POLICIES
 from fovconn_env.errors import MachineError, SettingError, rule
 from fovconn_env.sim.seeds import MAX_SEED
+from fovconn_env.text import file_name
 from fovconn_env.training.evaluation.flights import Evaluation, fly, join, label
 from fovconn_env.training.evaluation.shelf import Cell, Shelf
 
@@ -194,7 +195,7 @@ def _fly_block(recordings: Path | None, slot: int, cell: Cell, seeds: list[int])
         recordings.mkdir(parents=True, exist_ok=True)
         for recorder, seed in zip(recorders, seeds, strict=True):
             if seed in part.seeds:
-                recorder.recording().save(recordings / f"{name}@{cell.scenario.name}-{seed}.npz")
+                recorder.recording().save(recordings / f"{name}@{file_name(cell.scenario.name)}-{seed}.npz")
     return part
 
 

@@ -19,6 +19,7 @@ from fovconn_env.baselines import find_policy
 from fovconn_env.errors import FovconnError, SettingError
 from fovconn_env.files import Archive, Kind, read_archive, write_archive
 from fovconn_env.scenarios.serialize import scenario_to_json
+from fovconn_env.text import file_name
 from fovconn_env.training.evaluation.flights import Evaluation, label
 
 EVALUATION = Kind("fovconn_evaluation", "file of finished episodes", "fovconn eval writes them", 1)
@@ -67,7 +68,7 @@ class Shelf:
     def _file(self, cell: Cell) -> Path | None:
         if self.folder is None:
             return None
-        return self.folder / f"{label(cell.policy)}@{cell.scenario.name}-{fingerprint(cell)}.npz"
+        return self.folder / f"{label(cell.policy)}@{file_name(cell.scenario.name)}-{fingerprint(cell)}.npz"
 
 
 def fingerprint(cell: Cell) -> str:
