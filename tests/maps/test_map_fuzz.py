@@ -11,7 +11,7 @@ from fovconn_env.files import OtherKind
 from fovconn_env.maps.obstacles import Map
 from tests.fuzzing import count
 
-pytestmark = [pytest.mark.nojit, pytest.mark.fuzz]
+pytestmark = pytest.mark.fuzz
 
 REFUSALS = (SettingError, OtherKind)
 NUMBERS = (

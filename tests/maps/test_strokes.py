@@ -13,8 +13,6 @@ from tests.maps.test_map_files import YARD
 from tests.maps.test_maps import inside_by_even_odd, star
 from tests.maps.test_svg import CLIP, read, write
 
-pytestmark = pytest.mark.nojit
-
 PEN = 'fill="none" stroke="black" stroke-width="2"'
 
 

@@ -15,8 +15,6 @@ from fovconn_env.files import OtherKind
 from fovconn_env.maps.obstacles import Map
 from tests.fuzzing import count
 
-pytestmark = pytest.mark.nojit
-
 HEAD = '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" viewBox="0 0 100 100">'
 SEEN = '<circle r="3"/>'
 ALONE = Map().circle((0, 0), 3)
@@ -212,8 +210,11 @@ def test_a_clip_path_cuts(tmp_path):
     assert read(tmp_path, shifted) == Map().polygon([(20, 0), (30, 0), (30, -1), (20, -1)])
     holes = '<clipPath id="c"><path d="M0 0 h9 v9 h-9 z m3 3 v3 h3 v-3 z"/></clipPath>'
     holes += '<rect width="9" height="9" clip-path="url(#c)"/>'
-    with pytest.raises(SettingError, match="clip-path must be one convex outline, or one that cuts nothing"):
-        read(tmp_path, holes)
+    ring = read(tmp_path, holes)
+    np.testing.assert_array_equal(
+        ring.clearance([(x, -y, 0) for x, y in ((4, 4), (1, 1), (8, 5), (5, 8))]) < 0, [0, 1, 1, 1]
+    )
+    assert ring.clearance([(4.5, -4.5, 0)])[0] == pytest.approx(1.5)
 
 
 def test_copies_stand_where_they_are_shown(tmp_path):

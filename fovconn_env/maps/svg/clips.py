@@ -3,43 +3,37 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from fovconn_env.errors import rule
 from fovconn_env.maps.outlines import checked_outline, convex_pieces
 
 Shapes = list[tuple[str, Mapping[str, Any]]]
 _NEAR = 1e-6  # m, what sticks out by less is not cut
 
 
-def clip(shapes: Shapes, region: Sequence[np.ndarray]) -> Shapes:
+def clip(shapes: Shapes, region: Sequence[np.ndarray], spend: Callable[[int], None]) -> Shapes:
     """The part of shapes that is in a region, which convex outlines (n, 2), counter-clockwise, tile.
 
-    Shapes in one of the outlines stay as they are; otherwise one outline cuts them, and several are refused with a
-    `SettingError`.
+    Shapes in one of the outlines stay as they are; the others are cut into polygons.
     """
     result, cut = [], []
     for shape in shapes:
         inside = any(_excess(shape, outline) <= _NEAR for outline in region)
         (result if inside else cut).append(shape)
-    if not cut or not region:
-        return result
-    rule(
-        len(region) == 1,
-        "clip-path",
-        "one convex outline, or one that cuts nothing",
-        "another",
-        "cut it in the drawing",
-    )
-    for method, arguments in cut:
+    spend(len(shapes) * len(region))
+    for method, arguments in cut if region else []:
         rest = {name: arguments[name] for name in ("low", "high") if name in arguments}
         for piece in _pieces(method, arguments):
-            part = _cut(piece, region[0])
-            if len(part) >= 3:
-                result.append(("polygon", {"outline": part.tolist(), **rest}))
+            low, high = piece.min(axis=0), piece.max(axis=0)
+            for outline in region:
+                if (outline.max(axis=0) < low).any() or (outline.min(axis=0) > high).any():
+                    continue
+                part = _cut(piece, outline)
+                if len(part) >= 3:
+                    result.append(("polygon", {"outline": part.tolist(), **rest}))
     return result
 
 

@@ -250,7 +250,7 @@ class _Reader:
             made = shapes.area(element, style, place.matrix, self._spend)
         seen = made
         for region in place.regions:
-            seen = clip(seen, region)
+            seen = clip(seen, region, self._spend)
         if not seen:
             self.left_out["clipped away" if made else "without size"] += 1
             return
