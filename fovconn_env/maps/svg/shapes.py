@@ -18,6 +18,7 @@ from fovconn_env.maps.svg.strokes import Pen
 from fovconn_env.maps.svg.style import Style, length
 
 TOLERANCE = 0.01  # m, greatest distance between a curve and the chords that replace it
+_LINE = 5  # corners that take as long as the caps of a line
 _ROUND = 1e-9  # a circle whose axes differ by less than this share stays a circle
 _Spend = Callable[[int], None]
 
@@ -52,6 +53,7 @@ def painted(element: Element, style: Style, matrix: np.ndarray, paints: tuple[bo
     if width > 0.0:
         join, cap = style["stroke-linejoin"].lower(), style["stroke-linecap"].lower()
         pen = Pen(width, cap, join, length(style, "stroke-miterlimit", 4.0), matrix, TOLERANCE)
+        spend(_LINE * len(found))
         for chain in found:
             pen.draw(chain)
         made += pen.shapes
