@@ -9,6 +9,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
+from fovconn_env.files import replacing
 from fovconn_env.render.figures.style import DARK, FAINT, FOLLOWERS, RC, sheet
 
 KINDS = (".png", ".svg", ".pdf")
@@ -37,7 +38,8 @@ def plot(report: dict[str, Any], path: Path) -> None:
         about, versions = report["machine"], report["versions"]
         text = f"fovconn-env {versions.get('fovconn-env', '')}, {about['cpu']}, cores: {about['cores']}"
         figure.supxlabel(f"{text}; medians, bars from least to most", fontsize=8, color=FAINT, x=0.01, ha="left")
-        figure.savefig(path, facecolor="white")
+        with replacing(path) as (part,):
+            figure.savefig(part, facecolor="white")
 
 
 def _plot_rates(axes: Axes, cases: list[dict[str, Any]]) -> None:

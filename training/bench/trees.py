@@ -134,6 +134,9 @@ def running(tree: Path, program: str, arguments: Any) -> Iterator[Pipes]:
             except (BrokenPipeError, EOFError):
                 if task.wait() == 0:  # else it said why
                     raise
+            except BaseException:  # an interruption: nobody listens to it any more
+                task.kill()
+                raise
             if task.wait():
                 errors.seek(0)
                 raise RuntimeError(f"a program failed in {tree}:\n{errors.read()[-2000:]}")

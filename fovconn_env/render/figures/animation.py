@@ -14,6 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.path import Path as MarkerPath
 from PIL import Image
 
+from fovconn_env.files import replacing
 from fovconn_env.flights.flight import Flight
 from fovconn_env.render.figures import style
 from fovconn_env.render.figures.gif import write_gif
@@ -122,7 +123,8 @@ def animate(
                 progress(done, len(indices))
 
     durations = [round(1000 / fps)] * (len(indices) - 1) + [round(1000 * _HOLD)]
-    write_gif(path, frames(), samples, durations)
+    with replacing(path) as (part,):
+        write_gif(part, frames(), samples, durations)
     return path
 
 
@@ -130,7 +132,8 @@ def snapshot(flight: Flight, path: Path, *, time: float | None = None, dpi: floa
     """Write one frame as a PNG: the instant nearest to `time` (s), or a third of the flight."""
     at = flight.time[-1] / 3 if time is None else time
     image = Movie(flight, dpi).frame(int(np.abs(flight.time - at).argmin()))
-    Image.fromarray(image).save(path, optimize=True)
+    with replacing(path) as (part,):
+        Image.fromarray(image).save(part, optimize=True)
     return path
 
 

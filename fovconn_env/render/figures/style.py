@@ -12,6 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
+from fovconn_env.files import replacing
 from fovconn_env.render.palette import LIGHT, leader_of
 from fovconn_env.render.sight import runs
 from fovconn_env.scenarios.scenario import Scenario
@@ -60,7 +61,8 @@ def sheet(width: float, height: float, layout: Literal["constrained"] | None = "
 
 def save(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG and return the path."""
-    figure.savefig(path, dpi=figure.dpi, metadata={"Software": None})
+    with replacing(path) as (part,):
+        figure.savefig(part, dpi=figure.dpi, metadata={"Software": None})
     return path
 
 
