@@ -11,14 +11,16 @@ from __future__ import annotations
 import functools
 import hashlib
 import inspect
+import logging
 import re
+import threading
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
 import numpy as np
-from numba.core import config
+from numba.core import config, event
 from numba.core.registry import CPUDispatcher
 
 from fovconn_env.kernel.cache import DiskCache
@@ -36,6 +38,41 @@ if not _PACKAGE.is_dir():  # in a zip file, where neither the sources nor the we
     )
 # Stands in every file that holds compiled code.
 _MARK = re.compile(rb"^from fovconn_env\.kernel\.jit import .*\b(?:entry|formula|kernel|stage|view)\b", re.MULTILINE)
+_LOG = logging.getLogger("fovconn_env")  # to standard error, unless the application has set up logging
+PATIENCE = 1.0  # s
+
+
+class Announcement(event.Listener):
+    """One log line if this package's code still compiles after `PATIENCE`; numba itself says nothing.
+
+    What is found in the cache is not compiled, and causes no event. Compilations hold numba's global lock.
+    """
+
+    def __init__(self) -> None:
+        self._depth, self._said = 0, False
+        self.timer: threading.Timer | None = None
+
+    def on_start(self, event: event.Event) -> None:
+        self._depth += 1  # what a function calls is compiled within it
+        module = cast("dict[str, Any]", event.data)["dispatcher"].py_func.__module__
+        if self._depth == 1 and not self._said and module.startswith("fovconn_env."):
+            self.timer = threading.Timer(PATIENCE, self._say, [module])
+            self.timer.daemon = True
+            self.timer.start()
+
+    def on_end(self, event: event.Event) -> None:
+        self._depth -= 1
+        if self._depth == 0 and self.timer is not None:
+            self.timer.cancel()
+
+    def _say(self, module: str) -> None:
+        self._said = True
+        text = "compiling %s: up to half a minute on a free core, once on this machine and for each version"
+        _LOG.warning(text, module)
+
+
+ANNOUNCEMENT = Announcement()
+event.register("numba:compile", ANNOUNCEMENT)
 
 
 class _Inner(CPUDispatcher):
