@@ -344,12 +344,14 @@ def test_recordings(tmp_path):
         if one.over:
             break
     hashes = [state_hash(one.simulator)]
+    (tmp_path / "mine-2.npz").write_text("of another session")
     one.new_seed()
     fly(one, 7, forward=1.0)
     hashes.append(state_hash(one.simulator))
     one.next_scenario(1)
     assert one.save() is None, "nothing was flown yet"
-    assert one.files == [file, tmp_path / "mine-2.npz"]
+    assert one.files == [file, tmp_path / "mine-3.npz"]
+    assert (tmp_path / "mine-2.npz").read_text() == "of another session"
     first, second = map(load, one.files)
     assert [state_hash(replay(recording)) for recording in (first, second)] == hashes
     assert (first.policies[0], first.policies[2], first.policies[3]) == ("expert, human", "expert, human", "expert")

@@ -81,8 +81,12 @@ class Session:
         """Write the recording, if the flight is recorded and has steps; return the file."""
         if self._record is None or not self.steps:
             return None
-        number = f"-{self._flights}" if self._flights > 1 else ""
-        path = self._record.with_stem(self._record.stem + number)
+        path = self._record
+        while self._flights > 1:  # a later flight, which does not replace one of another session
+            path = self._record.with_stem(f"{self._record.stem}-{self._flights}")
+            if path in self.files or not path.exists():
+                break
+            self._flights += 1
         self._recorder.policies = tuple(", ".join(pilots) for pilots in self._pilots)
         self._recorder.recording().save(path)
         if path not in self.files:
