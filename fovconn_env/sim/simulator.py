@@ -34,7 +34,7 @@ Leader = Literal["waypoints", "none", "random", "human"]
 _STICK = {column.name: k for k, column in enumerate(layout.SELF) if column.name.startswith("stick_")}
 
 
-def _available_cores() -> int:
+def available_cores() -> int:
     """Number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
@@ -80,7 +80,7 @@ class Simulator:
         self._sampler = StartSampler(rules)
         self.generators: list[np.random.Generator | None] = [None] * n_worlds  # from a world's first reset on
         self.seeds: list[int | None] = [None] * n_worlds  # of the worlds' starts; None without a seed
-        self.n_threads = min(n_threads or _available_cores(), max(n_worlds // WORLDS_PER_SLICE, 1))
+        self.n_threads = min(n_threads or available_cores(), max(n_worlds // WORLDS_PER_SLICE, 1))
         self.closed = False
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
         warm = scenario.warmup if scenario.lambda2 in ("power", "flooding") else 0.0

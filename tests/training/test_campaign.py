@@ -1,16 +1,13 @@
 """Many evaluations at once: the same numbers whatever the processes, nothing flown twice, nothing lost."""
 
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fovconn_env import PRESETS, scenario
+from fovconn_env.baselines import POLICIES
+from fovconn_env.errors import SettingError
 from fovconn_env.training.evaluation import campaign, evaluate
 from fovconn_env.training.evaluation.campaign import fly_cells, parse_seeds, suite
 from fovconn_env.training.evaluation.shelf import Cell, Shelf, code_hash, fingerprint
@@ -28,6 +25,13 @@ def same(a, b):
     for name, values in a.episodes.items():
         np.testing.assert_array_equal(values, b.episodes[name], err_msg=name)
     np.testing.assert_array_equal(a.histograms, b.histograms)
+
+
+def kept(folder, cell):
+    """Seeds of the episodes that a folder has of a cell."""
+    flown, changed = Shelf(folder).load(cell)
+    assert changed == []
+    return flown.evaluation.seeds
 
 
 @pytest.fixture
@@ -51,9 +55,9 @@ def test_same_numbers_on_any_number_of_processes(blocks):
 def test_files_of_a_scenario_with_any_name_stay_in_their_folder(tmp_path):
     out, cell = tmp_path / "a" / "out", Cell("expert", scenario(TASK, name="../../x/y: ü", max_cycles=2))
     fly_cells([cell], [0], folder=out, recordings=out)
-    assert sorted(path.suffix for path in out.iterdir()) == [".npz", ".npz"]
+    assert sorted(path.suffix for path in out.iterdir()) == ["", ".npz", ".npz"]  # the lock, a flight, its episodes
     assert [path for path in tmp_path.rglob("*") if path.is_file() and path.parent != out] == []
-    assert Shelf(out).load(cell).seeds == [0]
+    assert kept(out, cell) == [0]
 
 
 def test_seeds_of_an_evaluation_may_be_of_any_integer_type():
@@ -72,11 +76,11 @@ def test_seeds_of_an_evaluation_may_be_of_any_integer_type():
 
 def test_what_is_there_is_not_flown_again(tmp_path, monkeypatch, blocks):
     first = fly_cells(CELLS[:1], range(4), folder=tmp_path)
-    file = next(tmp_path.iterdir())
+    (file,) = tmp_path.glob("*.npz")
     more = fly_cells(CELLS[:1], [5, 3, 0], folder=tmp_path)  # two of them are there
-    assert Shelf(tmp_path).load(CELLS[0]).seeds == [0, 1, 2, 3, 5]
+    assert kept(tmp_path, CELLS[0]) == [0, 1, 2, 3, 5]
     same(more[0], evaluate("expert", TASK, [5, 3, 0]))
-    monkeypatch.setattr(campaign, "ProcessPoolExecutor", None)  # nothing flies any more
+    monkeypatch.setattr(campaign, "run_orders", None)  # nothing flies any more
     same(fly_cells(CELLS[:1], range(4), folder=tmp_path)[0], first[0])
     with pytest.raises(TypeError):
         fly_cells(CELLS[:1], range(4), folder=tmp_path, fresh=True)
@@ -151,8 +155,8 @@ def test_a_policy_that_breaks_is_named_and_the_others_are_kept(tmp_path, case):
     cells = [Cell("expert", moving), Cell(f"{tmp_path}/broken.py:Broken", moving)]
     with pytest.raises(ValueError, match=COMPLAINTS[case]):
         fly_cells(cells, range(4), folder=tmp_path / "kept", processes=1)
-    assert Shelf(tmp_path / "kept").load(cells[0]).seeds == [0, 1, 2, 3]
-    assert len(list((tmp_path / "kept").iterdir())) == 1
+    assert kept(tmp_path / "kept", cells[0]) == [0, 1, 2, 3]
+    assert len(list((tmp_path / "kept").glob("*.npz"))) == 1
 
 
 @pytest.mark.parametrize("second", ["Mine", "MINE"])
@@ -169,31 +173,6 @@ def test_a_name_with_a_comma_is_refused_before_anything_flies(tmp_path):
     (tmp_path / "a,b.py").write_text("def act(flat):\n    raise AssertionError\n")
     with pytest.raises(ValueError, match=r"the name of policy '.*a,b\.py' must be without a comma, got 'a,b'"):
         fly_cells([Cell(str(tmp_path / "a,b.py"), TASK)], [0])
-
-
-def test_interruption_keeps_what_is_finished(tmp_path):
-    """Ctrl-C some seconds into a campaign of two minutes; the same command then has less to do."""
-    words = [sys.executable, "-m", "fovconn_env.training.cli", "eval", "--seeds", "0-1023", "--out", str(tmp_path)]
-    words += ["--scenario", "LeaderFollow-v0", "--set", "n_agents=3"]
-    variables = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200"}
-    with subprocess.Popen(words, env=variables, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as task:
-        deadline = time.monotonic() + 120
-        while not list(tmp_path.glob("episodes/*.npz")):
-            assert task.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.1)
-        time.sleep(0.5)
-        task.send_signal(signal.SIGINT)
-        shown, complaint = task.communicate(timeout=60)
-    assert task.returncode == 130
-    assert shown == ""
-    assert "Traceback" not in complaint
-    kept = Shelf(tmp_path / "episodes").load(Cell("expert", scenario("LeaderFollow-v0", n_agents=3)))
-    assert 0 < len(kept.seeds) < 1024
-    assert f"interrupted: {len(kept.seeds)} of 1024 episodes are kept in {tmp_path}/episodes" in complaint
-    alone = evaluate("expert", kept.scenario, kept.seeds[:2])
-    for name, values in alone.episodes.items():
-        np.testing.assert_array_equal(values, kept.episodes[name][:2], err_msg=name)
 
 
 def test_seeds_from_words():
@@ -214,11 +193,30 @@ def test_seeds_from_words():
 
 def test_suites():
     policies, scenarios, seeds = suite("quick")
-    assert "expert" in policies
+    assert policies == list(POLICIES)
     assert "LeaderFollow-v0" in scenarios
     assert len(set(scenarios)) == 4
     assert suite("full")[1] == list(PRESETS)
     assert seeds == suite("full")[2][:32]
     assert suite("full")[2] == list(range(320))
-    with pytest.raises(ValueError, match="suite must be one of quick, full, got 'fast'"):
+    with pytest.raises(SettingError, match="suite must be one of quick, full, got 'fast'"):
         suite("fast")
+
+
+def test_a_suite_can_be_restricted():
+    """Of policies or scenarios all are flown unless one of their kind is named; a user's own always."""
+    own = ["mine.py:Mine", "expert"]
+    every, four, _ = suite("quick")
+    assert suite("quick", own)[:2] == ([*every, "mine.py:Mine"], four)
+    assert suite("quick", own, ["oracle"])[:2] == (["oracle", *own], four)
+    assert suite("quick", own, ["mine.py:Mine"])[:2] == (own, four)
+    assert suite("quick", own, ["Blackout-v0"])[:2] == ([*every, "mine.py:Mine"], ["Blackout-v0"])
+    only = ["fovconn/Blackout-v0", "springs", "LeaderFollow-v0"]
+    assert suite("quick", [], only)[:2] == (["springs"], ["LeaderFollow-v0", "Blackout-v0"])
+    for bad, hint in (
+        ("exprt", "did you mean 'expert'"),
+        ("Mix-v0", "there are zero, random"),
+        ("", "there are zero, random"),
+    ):
+        with pytest.raises(SettingError, match=rf"--only must be a policy or a scenario of the suite quick, .*{hint}"):
+            suite("quick", own, [bad])

@@ -18,6 +18,7 @@ from fovconn_env.baselines import load_policy
 from fovconn_env.flights.flight import Flight, fly
 from fovconn_env.flights.metrics import Meter, bin_edges, quantile
 from fovconn_env.training.commands import app
+from fovconn_env.training.commands.options import check_new
 from fovconn_env.training.evaluation import evaluate, summary
 from tests import reference as ref
 
@@ -108,6 +109,47 @@ def test_the_policy_of_the_page_lands_in_the_same_table(fovconn, tmp_path):
     assert narrow.out == shown.out  # nothing was flown again
 
 
+def test_a_suite_is_restricted(fovconn):
+    """To one scenario at a level of it, and to a user's policy beside one of ours."""
+    Path("mine.py").write_text("from fovconn_env.baselines import Expert\n\n\nclass Mine(Expert):\n    'Mine.'\n")
+    words = ("eval", "--suite", "full", "--policy", "mine.py:Mine", "--only", "zero", "--only", "LossyRadio-v0")
+    shown = fovconn(*words, "--set", "level=4", *TINY, "--seeds", "0-1", "--processes", 1)
+    assert shown.status == 0, shown.err
+    record = strict_json(Path("out/eval/results.json"))
+    assert list(record["policies"]) == ["zero", "Mine"]
+    assert list(record["scenarios"]) == ["LossyRadio-v0"]
+    assert {row["settings"]["level"] for row in record["results"]} == {4}
+    assert "4 of 4 episodes after" in shown.err  # a line, as there is no terminal
+    again = fovconn(*words, "--set", "level=4", *TINY, "--seeds", "0-1")
+    assert re.search(r"^4 episodes reused from \d{4}-\d\d-\d\d \d\d:\d\d", again.err, re.MULTILINE)
+    assert re.search(
+        r"^replacing the report of \d{4}-.* in out/eval; its episodes stay there$", again.err, re.MULTILINE
+    )
+    assert re.search(r"^- reused: 4 episodes reused from ", Path("out/eval/report.md").read_text(), re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    "words, name",
+    [
+        (("play", "--record", "mine.npz"), "mine.npz"),
+        (("demo", "--record", "mine.npz"), "mine.npz"),
+        (("train", "record", "--out", "mine.npz"), "mine.npz"),
+        (("eval", "--seeds", "4-6", "--record", "flights"), "flights/expert@LeaderFollow-v0-5.npz"),
+    ],
+)
+def test_flights_are_not_replaced_without_a_word(fovconn, words, name):
+    """A person's cannot be had again."""
+    file = Path(name)
+    file.parent.mkdir(exist_ok=True)
+    file.write_text("a flight")
+    shown = fovconn(*words)
+    assert shown.status == 2
+    assert f"must not replace flights, got {name!r}: name another one, or add --fresh to replace them" in shown.err
+    assert file.read_text() == "a flight"
+    assert not Path("out").exists()
+    check_new("--record", [file], fresh=True)
+
+
 @pytest.mark.parametrize("columns, brackets", [("200", True), ("72", False)])
 def test_tables_fit_the_terminal(columns, brackets, tmp_path):
     """A narrow one gets the numbers without their intervals, not cut off."""
@@ -188,6 +230,11 @@ BAD = {
         "policy 'mine.py:Mine' must name a file that exists, got 'mine.py'",
     ),
     "suite": (("eval", "--suite", "fast"), "suite must be one of quick, full, got 'fast'"),
+    "of a suite": (
+        ("eval", "--suite", "quick", "--only", "exprt"),
+        "a scenario of the suite quick, got 'exprt': did you",
+    ),
+    "of no suite": (("eval", "--only", "expert"), "--only must be given with --suite, got ['expert']"),
     "scenario": (("eval", "--scenario", "LeaderFolow-v0"), "did you mean 'LeaderFollow-v0'"),
     "unknown setting": (("eval", "--set", "n_agnets=3"), "did you mean 'n_agents'"),
     "no value": (("eval", "--set", "n_agents"), "--set must be NAME=VALUE, got 'n_agents'"),

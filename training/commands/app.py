@@ -15,7 +15,7 @@ import fovconn_env
 from fovconn_env.errors import FovconnError, PolicyError, missing_package, place_of
 from fovconn_env.training.commands import bench, demo, evaluate, figures, listing, play, replay, train
 from fovconn_env.training.commands.screen import err, out, say_error
-from fovconn_env.training.evaluation.campaign import Interrupted
+from fovconn_env.training.evaluation.interruption import Interrupted, raised_interruption
 
 _PACKAGE = Path(fovconn_env.__file__).parent
 _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)  # may name no file
@@ -46,13 +46,14 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # where it takes no degree sign, or no half of a letter
     try:
-        app(standalone_mode=True)
+        with raised_interruption():
+            app(standalone_mode=True)
     except FovconnError as problem:
         say_error(str(problem))
         sys.exit(2)
     except Interrupted as kept:
         say_error(str(kept), "bold yellow")
-        sys.exit(130)
+        sys.exit(128 + kept.number)
     except Exception as problem:
         line = one_line(problem)
         say_error(line or whose_fault(problem))

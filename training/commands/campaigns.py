@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
-from fovconn_env.training.commands.screen import progress, warm_up
+from fovconn_env.training.commands.screen import err, progress, warm_up
 from fovconn_env.training.evaluation import Evaluation
 from fovconn_env.training.evaluation.campaign import fly_cells
 from fovconn_env.training.evaluation.shelf import Cell
@@ -20,7 +21,6 @@ def fly_all(
     recordings: Path | None = None,
 ) -> tuple[list[Evaluation], float]:
     """Evaluations of the cells, and the seconds they took, with a progress bar; `recordings` as `fly_cells`."""
-    folder.mkdir(parents=True, exist_ok=True)
     began, total = time.perf_counter(), len(cells) * len(seeds)
     with progress() as bar:
         warm_up(bar, cells[0].scenario, cells[0].policy)
@@ -32,7 +32,23 @@ def fly_all(
             fresh=fresh,
             recordings=recordings,
             processes=processes,
-            progress=lambda done: bar.update(task, completed=done),
+            progress=tenths(total, lambda done: bar.update(task, completed=done)),
+            say=lambda line: err.print(line, highlight=False, soft_wrap=True, markup=False),
         )
         bar.update(task, completed=total)
     return results, time.perf_counter() - began
+
+
+def tenths(total: int, show: Callable[[float], None]) -> Callable[[float], None]:
+    """As `show`; without a terminal, where no bar is seen, also a line for each tenth of the episodes."""
+    began, tenth = time.monotonic(), 0
+
+    def tell(done: float) -> None:
+        nonlocal tenth
+        show(done)
+        if not err.is_terminal and int(10 * done / total) > tenth:
+            tenth = int(10 * done / total)
+            line = f"{done:.0f} of {total} episodes after {time.monotonic() - began:.0f} s"
+            err.print(line, highlight=False, soft_wrap=True)
+
+    return tell

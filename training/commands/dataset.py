@@ -10,7 +10,7 @@ import typer
 from fovconn_env import PRESETS
 from fovconn_env.baselines import POLICIES, find_policy
 from fovconn_env.errors import rule
-from fovconn_env.training.commands.options import Settings, read_recording, read_scenarios
+from fovconn_env.training.commands.options import Replace, Settings, check_new, read_recording, read_scenarios
 from fovconn_env.training.commands.screen import out, progress
 
 
@@ -30,6 +30,7 @@ def command(
         typer.Option("--flight", help="Take this recording, of `fovconn play --record`, instead; repeatable."),
     ] = None,
     file: Annotated[Path, typer.Option("--out", help="File to write, .npz.")] = Path("out/flights.npz"),
+    fresh: Replace = False,
 ) -> None:
     """Write what every robot saw and did, as episodes that others can read.
 
@@ -39,6 +40,7 @@ def command(
     from fovconn_env.training.learn.datasets import from_recordings, record, save
 
     rule(file.suffix == ".npz", "--out", "a file that ends in .npz", str(file), "numpy.load reads it")
+    check_new("--out", [file], fresh)
     [chosen], numbers = read_scenarios([scenario_name], settings), parse_seeds(seeds)
     find_policy(policy)
     recordings = [read_recording(flight) for flight in flights or ()]

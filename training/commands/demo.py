@@ -12,6 +12,7 @@ from fovconn_env.baselines import find_policy
 from fovconn_env.training.commands.options import (
     PolicyName,
     RecordFile,
+    Replace,
     ScenarioName,
     Settings,
     check_folder,
@@ -29,6 +30,7 @@ def command(
     folder: Annotated[Path, typer.Option("--out", help="Folder for the pictures.")] = Path("out/demo"),
     animation: Annotated[bool, typer.Option(help="Make the animation, too.")] = True,
     recording_file: RecordFile = None,
+    fresh: Replace = False,
     settings: Settings = None,
 ) -> None:
     """Fly the paper's experiment (Sec. V) once: a table of measures, its Figs. 2-7 and an animation."""
@@ -38,7 +40,7 @@ def command(
     find_policy(policy)
     check_installed("demo")
     check_folder(folder)
-    check_recording(recording_file)
+    check_recording(recording_file, fresh)
     folder.mkdir(parents=True, exist_ok=True)
     with progress() as bar:
         warm_up(bar, chosen, policy)

@@ -10,6 +10,7 @@ import typer
 
 from fovconn_env import PRESETS, scenario
 from fovconn_env.baselines import POLICIES, find_policy
+from fovconn_env.errors import rule
 from fovconn_env.training.commands.campaigns import fly_all
 from fovconn_env.training.commands.options import (
     OUT,
@@ -18,11 +19,13 @@ from fovconn_env.training.commands.options import (
     Processes,
     Settings,
     check_folder,
+    check_new,
     check_writable,
     parse,
 )
-from fovconn_env.training.commands.screen import err, grid, measures, out, say_written, width
-from fovconn_env.training.evaluation.campaign import DEV_SEEDS, check_labels, parse_seeds, suite
+from fovconn_env.training.commands.screen import err, grid, measures, out, say_replaced, say_written, width
+from fovconn_env.training.evaluation.campaign import DEV_SEEDS, check_labels, parse_seeds, recording_file, suite
+from fovconn_env.training.evaluation.folders import claimed
 from fovconn_env.training.evaluation.record import Record, to_json, write_json
 from fovconn_env.training.evaluation.results import publish
 from fovconn_env.training.evaluation.shelf import Cell
@@ -43,6 +46,13 @@ def command(
             "--suite", help="quick or full: all policies (and those given) on four scenarios, 32 seeds, or on all, 320."
         ),
     ] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Of the suite, fly this policy or scenario alone, beside every --policy; repeatable.",
+        ),
+    ] = None,
     seeds: Annotated[str | None, typer.Option(help="Seeds: 0-319, 7 or 0-31,100-131.  [default: 0-319]")] = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder for report, JSON and episodes.")] = OUT / "eval",
     processes: Processes = None,
@@ -58,8 +68,11 @@ def command(
 
     Finished episodes stay in the folder: after an interruption the same command goes on.
     """
-    chosen, names, numbers = suite(suite_name) if suite_name else (["expert"], ["LeaderFollow-v0"], list(DEV_SEEDS))
-    chosen = list(dict.fromkeys([*chosen, *(policies or ())] if suite_name else policies or chosen))
+    rule(suite_name is not None or not only, "--only", "given with --suite", only, "--policy and --scenario need none")
+    chosen, names, numbers = policies or ["expert"], ["LeaderFollow-v0"], list(DEV_SEEDS)
+    if suite_name is not None:
+        chosen, names, numbers = suite(suite_name, policies or (), only or ())
+    chosen = list(dict.fromkeys(chosen))
     numbers = parse_seeds(seeds) if seeds is not None else numbers
     changes = parse(settings)
     scenarios = [scenario(name, **changes) for name in dict.fromkeys(scenario_names or names)]
@@ -70,9 +83,13 @@ def command(
     check_folder(folder)
     check_folder(recordings, "--record")
     check_writable({"--json": json_file})
-    results, seconds = fly_all(cells, numbers, folder, processes, fresh, recordings)
-    with err.status("writing the report"):
-        record, written = publish(results, chosen, changes, folder, seconds)
+    if recordings is not None:
+        check_new("--record", [recording_file(recordings, cell, seed) for cell in cells for seed in numbers], fresh)
+    with claimed(folder):
+        results, seconds = fly_all(cells, numbers, folder, processes, fresh, recordings)
+        say_replaced(folder / "results.json")
+        with err.status("writing the report"):
+            record, written = publish(results, chosen, changes, folder, seconds)
     if len(results) == 1:
         out.print(measures(results[0]))
     else:

@@ -28,6 +28,7 @@ from fovconn_env.training.commands.options import (
 from fovconn_env.training.commands.screen import grid, out, progress, say_written
 from fovconn_env.training.evaluation.campaign import parse_seeds
 from fovconn_env.training.evaluation.export import check_installed
+from fovconn_env.training.evaluation.folders import claimed
 from fovconn_env.training.evaluation.record import to_json, write_json
 
 
@@ -133,10 +134,11 @@ def _draw_ablations(folder: Path, seeds: str, processes: int | None, fresh: bool
 
     study = ablations.study(parse_seeds(seeds))
     cells = list(dict.fromkeys(task.cell() for task in study.tasks))
-    evaluations, seconds = fly_all(cells, list(study.seeds), folder, processes, fresh)
-    result = record(study, dict(zip(cells, evaluations, strict=True)), seconds).short()
-    out.print(grid(f"ablations on {ablations.BASE}, {len(study.seeds)} seeds", *ablation_table(result)))
-    written = [draw(result, folder / "ablations.png", f"{ablations.BASE}, seeds {seeds}, 95 % intervals")]
-    written += [write_json(folder / "ablations.json", to_json(result))]
+    with claimed(folder):
+        evaluations, seconds = fly_all(cells, list(study.seeds), folder, processes, fresh)
+        result = record(study, dict(zip(cells, evaluations, strict=True)), seconds).short()
+        out.print(grid(f"ablations on {ablations.BASE}, {len(study.seeds)} seeds", *ablation_table(result)))
+        written = [draw(result, folder / "ablations.png", f"{ablations.BASE}, seeds {seeds}, 95 % intervals")]
+        written += [write_json(folder / "ablations.json", to_json(result))]
     written += [write_json(json_file, to_json(result))] if json_file is not None else []
     say_written(written)

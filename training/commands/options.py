@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,7 +23,8 @@ Settings = Annotated[
     typer.Option("--set", metavar="NAME=VALUE", help="Change a scenario setting, e.g. --set n_agents=4; repeatable."),
 ]
 Processes = Annotated[int | None, typer.Option(help="Processes; one a core by default.", min=1)]
-Fresh = Annotated[bool, typer.Option("--fresh", help="Fly all anew, also what the folder has.")]
+Fresh = Annotated[bool, typer.Option("--fresh", help="Fly all anew, also what the folder has; replace recordings.")]
+Replace = Annotated[bool, typer.Option("--fresh", help="Replace the file if there is one.")]
 RecordFile = Annotated[Path | None, typer.Option("--record", metavar="FILE", help="Record the flight here, as .npz.")]
 Force = Annotated[bool, typer.Option("--force", help="Go on where a recorded flight does not come out as it did.")]
 JsonFile = Annotated[
@@ -65,11 +67,21 @@ def check_writable(files: dict[str, Path | None]) -> None:
             file.unlink()
 
 
-def check_recording(file: Path | None) -> None:
-    """`ValueError` for a recording that cannot be written, before it is flown."""
+def check_recording(file: Path | None, fresh: bool) -> None:
+    """`ValueError` for a recording that cannot be written, or would replace one, before it is flown."""
     if file is not None and file.suffix != ".npz":
         raise SettingError(f"--record must name a file in .npz, got {str(file)!r}: recordings have that ending")
+    check_new("--record", [file] if file is not None else [], fresh)
     check_writable({"--record": file})
+
+
+def check_new(option: str, files: Sequence[Path], fresh: bool) -> None:
+    """`ValueError` where flights would be replaced without a word: some cannot be had again."""
+    there = [file for file in files if file.exists()]
+    if there and not fresh:
+        more = f" and {len(there) - 1} more" if len(there) > 1 else ""
+        got = f"{option} must not replace flights, got {str(there[0])!r}{more}"
+        raise SettingError(f"{got}: name another one, or add --fresh to replace them")
 
 
 def read_recording(file: Path) -> Recording:

@@ -9,7 +9,7 @@ import typer
 
 from fovconn_env.errors import SettingError, missing_package
 from fovconn_env.render.palette import THEMES
-from fovconn_env.training.commands.options import PolicyName, ScenarioName, Settings, check_recording, parse
+from fovconn_env.training.commands.options import PolicyName, Replace, ScenarioName, Settings, check_recording, parse
 from fovconn_env.training.commands.screen import err, say_written
 from fovconn_env.training.play.session import Session
 
@@ -24,6 +24,7 @@ def command(
         Path | None,
         typer.Option("--record", metavar="FILE", help="Record the first flight here, as .npz; later ones as FILE-2."),
     ] = None,
+    fresh: Replace = False,
     theme: Annotated[str, typer.Option(help="light or dark.")] = "light",
     size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the window, pixels.")] = "1280x720",
     fps: Annotated[int, typer.Option(help="Pictures a second, at most.", min=5, max=240)] = 60,
@@ -36,17 +37,19 @@ def command(
     if theme not in THEMES:
         raise SettingError(f"--theme must be one of {', '.join(THEMES)}, got {theme!r}")
     wide, changes = _size(size), parse(settings)
-    check_recording(recording_file)
+    check_recording(recording_file, fresh)
     try:
         from fovconn_env.training.play.app import App
     except ImportError as missing:
         raise missing_package("play", missing) or missing from missing
-    with err.status("loading (compiles once, ~20 s)"):
+    with err.status("loading (compiles once, half a minute)"):
         Session(scenario_name, policy, seed, changes=changes).step()  # loads the kernels, off the record
         session = Session(scenario_name, policy, seed, changes=changes, record=recording_file)
-    App(session, size=wide, theme=theme, fps=fps).run()
-    if session.files:
-        say_written(session.files)
+    try:
+        App(session, size=wide, theme=theme, fps=fps).run()
+    finally:  # also after a signal
+        if session.files:
+            say_written(session.files)
 
 
 def _size(text: str) -> tuple[int, int]:

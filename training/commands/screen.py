@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -26,6 +27,7 @@ from rich.text import Text
 
 from fovconn_env import Scenario
 from fovconn_env.baselines import find_policy
+from fovconn_env.flights.metrics import Meter
 from fovconn_env.flights.rollout import rollout
 from fovconn_env.text import literal
 from fovconn_env.training.evaluation import Evaluation
@@ -72,8 +74,8 @@ def progress() -> Iterator[Progress]:
 
 def warm_up(bar: Progress, chosen: Scenario, policy: str) -> None:
     """Load or compile the kernels under a line that says so."""
-    task = bar.add_task("loading (compiles once, ~20 s)", total=None)
-    for _ in itertools.islice(rollout(find_policy(policy), chosen, [0]), 2):
+    task = bar.add_task("loading (compiles once, half a minute)", total=None)
+    for _ in itertools.islice(rollout(find_policy(policy), chosen, [0], observers=[Meter()]), 2):
         pass  # the reset, and one step
     bar.update(task, total=1, completed=1, description="loaded")
 
@@ -110,3 +112,11 @@ def say_error(text: str, style: str = "bold red") -> None:
 def say_written(files: list[Path]) -> None:
     """The line that tells which files were written."""
     out.print("wrote " + ", ".join(str(file) for file in files), highlight=False, soft_wrap=True)
+
+
+def say_replaced(file: Path) -> None:
+    """Tell that a report, if there is one, makes room for another; the flights that it was made of stay."""
+    if file.is_file():
+        when = time.strftime("%Y-%m-%d %H:%M", time.localtime(file.stat().st_mtime))
+        line = f"replacing the report of {when} in {file.parent}; its episodes stay there"
+        err.print(line, style="dim", highlight=False, soft_wrap=True, markup=False)

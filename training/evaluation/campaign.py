@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import multiprocessing
-import os
-import signal
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 from fovconn_env import PRESETS, Recorder, Scenario
-from fovconn_env.baselines import POLICIES
-from fovconn_env.errors import MachineError, SettingError, rule
+from fovconn_env.baselines import POLICIES, find_policy
+from fovconn_env.errors import MachineError, SettingError, closest, rule
 from fovconn_env.sim.seeds import MAX_SEED
+from fovconn_env.sim.simulator import available_cores
 from fovconn_env.text import file_name
-from fovconn_env.training.evaluation.flights import Evaluation, fly, join, label
-from fovconn_env.training.evaluation.shelf import Cell, Shelf
+from fovconn_env.training.evaluation.flights import Evaluation, Reused, fly, label, reuse_line
+from fovconn_env.training.evaluation.folders import claimed, sweep
+from fovconn_env.training.evaluation.interruption import Interrupted
+from fovconn_env.training.evaluation.provenance import Files, Reads, changed
+from fovconn_env.training.evaluation.shelf import Cell, Flown, Shelf, in_order
+from fovconn_env.training.evaluation.workers import Died, Watch, run_orders
 
 DEV_SEEDS = range(320)  # frozen: development; a held-out set is kept apart
 # as it is, sight hidden, parts that fail, a narrow field of view: each parts other policies
@@ -28,20 +27,33 @@ QUICK = ("LeaderFollow-v0", "LeaderObstacles-v0", "Blackout-v0", "NarrowCamera-v
 SUITES = {"quick": (QUICK, DEV_SEEDS[:32]), "full": (tuple(PRESETS), DEV_SEEDS)}  # scenarios and seeds, of all policies
 MOST_SEEDS = 1_000_000  # in a part of a list
 BLOCK = 64  # episodes flown at once by a process
-MOST_SEEDS = 1_000_000
-_POLL = 0.1  # s
 
 
-class Interrupted(Exception):
-    """The user broke off; the message tells what was finished and where it is."""
+class Order(NamedTuple):
+    """Episodes that a process flies at once."""
+
+    k: int  # of the cell
+    cell: Cell
+    seeds: list[int]
+    recordings: Path | None
 
 
-def suite(name: str) -> tuple[list[str], list[str], list[int]]:
-    """Policies, scenarios and seeds of a suite; `ValueError` lists the suites there are."""
-    if name not in SUITES:
-        raise SettingError(f"suite must be one of {', '.join(SUITES)}, got {name!r}: each flies all policies")
+def suite(name: str, own: Sequence[str] = (), only: Sequence[str] = ()) -> tuple[list[str], list[str], list[int]]:
+    """Policies, scenarios and seeds of a suite: all policies there are, and a user's `own`.
+
+    only: policies and scenarios to take of the suite; all policies, or all scenarios, if none is named. Raises
+    `SettingError` for an unknown suite, and for a name that is not in it.
+    """
+    rule(name in SUITES, "suite", f"one of {', '.join(SUITES)}", name, "each flies all policies, --only some of them")
     scenarios, seeds = SUITES[name]
-    return list(POLICIES), list(scenarios), list(seeds)
+    names = [word.removeprefix("fovconn/") for word in only]
+    for word in names:
+        known = (*POLICIES, *own, *scenarios)
+        rule(word in known, "--only", f"a policy or a scenario of the suite {name}", word, closest(word, known))
+    some = any(word in (*POLICIES, *own) for word in names)
+    policies = [policy for policy in POLICIES if not some or policy in names]
+    chosen = [each for each in scenarios if each in names] or list(scenarios)
+    return list(dict.fromkeys([*policies, *own])), chosen, list(seeds)
 
 
 def parse_seeds(text: str) -> list[int]:
@@ -72,131 +84,143 @@ def fly_cells(
     recordings: Path | None = None,
     processes: int | None = None,
     progress: Callable[[float], None] | None = None,
+    say: Callable[[str], None] = lambda line: None,
 ) -> list[Evaluation]:
     """Fly every cell from every seed; results in the order of `cells`, whatever the number of processes.
 
-    Episodes are kept in `folder` as they finish, and those found there are not flown again, unless `fresh`. With a
-    folder for `recordings` all are flown, and each is recorded there as POLICY@SCENARIO-SEED.npz. `progress` is told
-    the number of episodes done, those found among them. Raises `ValueError` for two policies of one label or a policy
-    that fails, `Interrupted` after Ctrl-C; both leave what was finished in the folders.
+    Episodes are kept in `folder` as they finish, and those found there that come from the same (`Shelf`) are not flown
+    again, unless `fresh`. With a folder for `recordings` all are flown, and each is recorded there as
+    POLICY@SCENARIO-SEED.npz. `progress` is told the number of episodes done, those found among them; `say` a line for
+    what the user should know: episodes that are not reused and why, a process that died.
+
+    Raises `SettingError` for two policies of one label, a folder that another process uses, and a policy that changes
+    while it flies; what the policies raise; `OSError`; and `Interrupted` after Ctrl-C or another signal to end. All
+    leave what was finished in the folders.
     """
     check_labels(cells)
-    shelf = Shelf(folder)
-    done = [None if fresh else shelf.load(cell) for cell in cells]
-    orders = _orders(cells, seeds, done if recordings is None else [None] * len(done))
-    n_kept = len(seeds) * len(cells) - sum(len(block) for _, block in orders)
+    with contextlib.ExitStack() as stack:
+        if folder is not None:
+            stack.enter_context(claimed(folder))
+        shelf = Shelf(folder)
+        done = [None if fresh else _take(shelf, cell, say) for cell in cells]
+        before = [dict(kept.times) if kept and recordings is None else {} for kept in done]
+        orders = _orders(cells, seeds, before, recordings)
+        reused = [_reused(seeds, times) for times in before]
+        if line := reuse_line(reused):
+            say(line)
+        n_kept = len(seeds) * len(cells) - sum(len(order.seeds) for order in orders)
 
-    def keep(k: int, part: Evaluation) -> None:
-        if not part.seeds:
-            return
-        kept = done[k]
-        others = sorted(set(kept.seeds) - set(part.seeds)) if kept is not None else []
-        joined = join([_in_order(kept, others), part]) if kept is not None else part
-        done[k] = _in_order(joined, sorted(joined.seeds))  # blocks finish in any order
-        shelf.save(cells[k], done[k])
+        def keep(number: int, result: tuple[Evaluation, Files]) -> None:
+            order, (part, files) = orders[number], result
+            if part.seeds:
+                there = done[order.k]
+                flown = there.joined(part, files) if there is not None else Flown.of(part, files)
+                done[order.k] = flown
+                shelf.save(order.cell, flown)
 
-    try:
-        if orders:
-            fly_block = functools.partial(_fly_block, recordings)
-            count = processes or os.cpu_count() or 1
-            _fly_orders(cells, orders, count, fly_block, keep, lambda n: progress and progress(n_kept + n))
-    except Interrupted:
-        kept = sum(len(set(seeds) & set(part.seeds)) for part in done if part is not None)
-        where = f"are kept in {folder}" if folder else "were finished"
-        where += ", the same command goes on from there" if folder and recordings is None else ""
-        raise Interrupted(f"interrupted: {kept} of {len(seeds) * len(cells)} episodes {where}") from None
-    return [_in_order(part, seeds) for part in done if part is not None]
+        try:
+            if orders:
+                _fly(orders, processes or available_cores(), keep, lambda n: progress and progress(n_kept + n), say)
+        except Interrupted as signal:
+            kept = sum(len(set(seeds) & flown.times.keys()) for flown in done if flown is not None)
+            where = f"are kept in {folder}" if folder else "were finished"
+            where += ", the same command goes on from there" if folder and recordings is None else ""
+            text = f"interrupted: {kept} of {len(seeds) * len(cells)} episodes {where}"
+            raise Interrupted(text, signal.number) from None
+        finally:
+            if recordings is not None and recordings.is_dir():
+                sweep(recordings)
+        return [
+            in_order(flown.evaluation, seeds)._replace(reused=part, changed=tuple(changed(flown.files)))
+            for flown, part in zip(done, reused, strict=True)
+            if flown is not None
+        ]
 
 
-def _orders(cells: Sequence[Cell], seeds: Sequence[int], done: Sequence[Evaluation | None]) -> list[tuple[int, list]]:
-    """(cell, seeds) of each block still to be flown, those that take longest first."""
+def _take(shelf: Shelf, cell: Cell, say: Callable[[str], None]) -> Flown | None:
+    """What the shelf has of a cell, if it comes from the same."""
+    flown, files = shelf.load(cell)
+    if flown is None or not files:
+        return flown
+    say(
+        f"{len(flown.times)} episodes of {flown.evaluation.policy} on {cell.scenario.name} are not reused: "
+        f"{', '.join(files)} {'has' if len(files) == 1 else 'have'} changed since"
+    )
+    return None
+
+
+def _reused(seeds: Sequence[int], before: Mapping[int, int]) -> Reused | None:
+    times = [before[seed] for seed in seeds if seed in before]
+    return Reused(len(times), min(times), max(times)) if times else None
+
+
+def _orders(
+    cells: Sequence[Cell], seeds: Sequence[int], kept: Sequence[Mapping[int, int]], recordings: Path | None
+) -> list[Order]:
+    """Blocks still to be flown, those that take longest first."""
     orders = []
-    for k, part in enumerate(done):
-        kept = set(part.seeds) if part is not None else set()
-        missing = [seed for seed in seeds if seed not in kept]
-        orders += [(k, missing[first : first + BLOCK]) for first in range(0, len(missing), BLOCK)]
-    return sorted(orders, key=lambda order: -len(order[1]) * _cost(cells[order[0]].scenario))
+    for k, (cell, there) in enumerate(zip(cells, kept, strict=True)):
+        missing = [seed for seed in seeds if seed not in there]
+        blocks = [missing[first : first + BLOCK] for first in range(0, len(missing), BLOCK)]
+        orders += [Order(k, cell, block, recordings) for block in blocks]
+    return sorted(orders, key=lambda order: -len(order.seeds) * _cost(order.cell.scenario))
 
 
 def _cost(scenario: Scenario) -> float:
     return scenario.max_cycles * scenario.n_agents**2 * (2.0 if scenario.dynamics == "quadrotor" else 1.0)
 
 
-def _fly_orders(
-    cells: Sequence[Cell],
-    orders: list[tuple[int, list]],
+def _fly(
+    orders: Sequence[Order],
     processes: int,
-    fly_block: Callable[[int, Cell, list[int]], Evaluation],
-    keep: Callable[[int, Evaluation], None],
+    keep: Callable[[int, tuple[Evaluation, Files]], None],
     progress: Callable[[float], None],
+    say: Callable[[str], None],
 ) -> None:
-    """Hand the orders to processes; an interruption or a failure stops them where they are."""
-    context = multiprocessing.get_context("spawn")  # a fork would copy threads that do not run in the child
-    stop, counts = context.Value("b", 0, lock=False), context.Array("d", len(orders), lock=False)
-    pool = ProcessPoolExecutor(min(processes, len(orders)), context, _enlist, (stop, counts))
-    waiting: dict[Future[Evaluation], int] = {}
-    problem: BaseException | None = None
-    with pool, noted_interruption() as interrupted:
-        for slot, (k, block) in enumerate(orders):
-            waiting[pool.submit(fly_block, slot, cells[k], block)] = k
-        while waiting:
-            finished, _ = wait(waiting, _POLL, FIRST_COMPLETED)
-            progress(sum(counts))
-            for future in finished:
-                k = waiting.pop(future)
-                if (failure := future.exception()) is not None:
-                    problem = problem or failure
-                else:
-                    keep(k, future.result())
-            if interrupted.is_set():
-                problem = problem or Interrupted()
-            if problem is not None and not stop.value:
-                stop.value = 1
-                waiting = {future: k for future, k in waiting.items() if not future.cancel()}
-    if isinstance(problem, BrokenProcessPool):
-        raise MachineError("a process that flew died, out of memory perhaps: try fewer --processes") from problem
-    if problem is not None:
-        raise problem
+    """Fly the orders in processes; a process that dies is named."""
 
+    def name(number: int) -> str:
+        order = orders[number]
+        at = f"{label(order.cell.policy)} on {order.cell.scenario.name}, seeds {order.seeds[0]} to {order.seeds[-1]}"
+        return f"the process that flew {at}"
 
-@contextlib.contextmanager
-def noted_interruption() -> Iterator[threading.Event]:
-    """Ctrl-C sets the event instead of striking anywhere, so that what is finished can be kept."""
-    noted = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield noted
-        return
-    before = signal.signal(signal.SIGINT, lambda *_: noted.set())
+    def died(number: int, how: str) -> None:
+        say(f"{name(number)}, ended with {how}; they are flown again")
+
     try:
-        yield noted
-    finally:
-        signal.signal(signal.SIGINT, before)
+        run_orders(_fly_order, [tuple(order) for order in orders], processes, keep=keep, progress=progress, died=died)
+    except Died as death:
+        hint = 'out of memory perhaps, try fewer --processes; a script needs `if __name__ == "__main__":`'
+        raise MachineError(f"{name(death.order)}, ended twice with {death.how}: {hint}") from None
 
 
-_stop: Any = None  # in a worker process: whether to break off, and how many episodes each block has behind it
-_counts: Any = None
+_reads: Reads | None = None  # of a process that flies
 
 
-def _enlist(stop: Any, counts: Any) -> None:
-    global _stop, _counts
-    _stop, _counts = stop, counts
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the parent, which says when to stop
-
-
-def _fly_block(recordings: Path | None, slot: int, cell: Cell, seeds: list[int]) -> Evaluation:
-    def watch(done: float) -> bool:
-        _counts[slot] = done
-        return not _stop.value
-
-    name, worlds = label(cell.policy), range(len(seeds) if recordings is not None else 0)
+def _fly_order(watch: Watch, k: int, cell: Cell, seeds: list[int], recordings: Path | None) -> tuple[Evaluation, Files]:
+    """Fly a block in a process of its own; also tells what the policy came from."""
+    global _reads
+    _reads = _reads or Reads()
+    _reads.policy = cell.policy
+    kind, name = _kind(cell.policy), label(cell.policy)
+    worlds = range(len(seeds) if recordings is not None else 0)
     recorders = [Recorder(policies=[name], world=b) for b in worlds]
-    part = fly(cell.policy, cell.scenario, seeds, watch=watch, n_threads=1, observers=recorders)
+    part = fly(kind, cell.scenario, seeds, watch=watch, n_threads=1, observers=recorders)._replace(policy=name)
+    files = _reads.of(cell.policy, kind)
     if recordings is not None:
         recordings.mkdir(parents=True, exist_ok=True)
         for recorder, seed in zip(recorders, seeds, strict=True):
             if seed in part.seeds:
-                recorder.recording().save(recordings / f"{name}@{file_name(cell.scenario.name)}-{seed}.npz")
-    return part
+                recorder.recording().save(recording_file(recordings, cell, seed))
+    return part, files
+
+
+def recording_file(folder: Path, cell: Cell, seed: int) -> Path:
+    """Where `fly_cells` records a flight."""
+    return folder / f"{label(cell.policy)}@{file_name(cell.scenario.name)}-{seed}.npz"
+
+
+_kind = functools.cache(find_policy)  # in a process that flies, a policy is loaded once: an edit changes no later block
 
 
 def check_labels(cells: Sequence[Cell]) -> None:
@@ -209,11 +233,3 @@ def check_labels(cells: Sequence[Cell]) -> None:
         if other != policy:
             hint = "rename a class; small and large letters are the same to file systems and marl-eval"
             raise SettingError(f"policies must have different names, got {other!r} and {policy!r}: {hint}")
-
-
-def _in_order(part: Evaluation, seeds: Sequence[int]) -> Evaluation:
-    """The episodes of these seeds in their order."""
-    place = {seed: k for k, seed in enumerate(part.seeds)}
-    chosen = [place[seed] for seed in seeds]
-    episodes = {name: values[chosen] for name, values in part.episodes.items()}
-    return part._replace(seeds=list(seeds), episodes=episodes, histograms=part.histograms[chosen])

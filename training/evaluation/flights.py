@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +21,14 @@ BATCH = 256  # worlds flown at once
 SHARES = ("never_disconnected", "success", "collision")  # measures that are yes or no
 
 
+class Reused(NamedTuple):
+    """Episodes that were flown before, and found on disk."""
+
+    count: int
+    first: int  # when they were flown, Unix time, s
+    last: int
+
+
 class Evaluation(NamedTuple):
     """One policy on one scenario, E episodes."""
 
@@ -28,6 +37,8 @@ class Evaluation(NamedTuple):
     seeds: list[int]
     episodes: dict[str, np.ndarray]  # (E,) each, see Meter.results
     histograms: np.ndarray  # (E, 3, N_BINS), see Meter.histograms
+    reused: Reused | None = None  # those of them that were not flown now
+    changed: tuple[str, ...] = ()  # files that the policy was made of or has read, and that are others by now
 
 
 def evaluate(
@@ -87,6 +98,18 @@ def join(parts: Sequence[Evaluation]) -> Evaluation:
     histograms = np.concatenate([part.histograms for part in parts])
     seeds = [seed for part in parts for seed in part.seeds]
     return parts[0]._replace(seeds=seeds, episodes=episodes, histograms=histograms)
+
+
+def reuse_line(parts: Iterable[Reused | None]) -> str:
+    """How many episodes were not flown now, and when they were; "" if all were."""
+    reused = [part for part in parts if part is not None]
+    if not reused:
+        return ""
+    ends = min(part.first for part in reused), max(part.last for part in reused)
+    first, last = (time.strftime("%Y-%m-%d %H:%M", time.localtime(end)) for end in ends)
+    count = sum(part.count for part in reused)
+    until = f" to {last}" if last != first else ""
+    return f"{count} episode{'s' if count > 1 else ''} reused from {first}{until}"
 
 
 def label(policy: str | type[Policy]) -> str:

@@ -151,11 +151,15 @@ def load(file: Path) -> Record:
     return from_json(read_json(file, "record", MAX_BYTES))
 
 
-def write_json(file: Path, data: Mapping[str, Any]) -> Path:
-    """Write a JSON object with what holds no other object on one line; returns the file."""
+def json_text(data: Mapping[str, Any]) -> str:
+    """A JSON object as a text, what holds no other object on one line."""
     text = json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False)
-    text = _INNERMOST.sub(lambda match: match[1] + re.sub(r"\n\s+", " ", match[2]) + match[3], text)
-    write_text(file, text + "\n")
+    return _INNERMOST.sub(lambda match: match[1] + re.sub(r"\n\s+", " ", match[2]) + match[3], text) + "\n"
+
+
+def write_json(file: Path, data: Mapping[str, Any]) -> Path:
+    """Write a JSON object; returns the file."""
+    write_text(file, json_text(data))
     return file
 
 

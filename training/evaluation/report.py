@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from fovconn_env.files import write_text
+from fovconn_env.files import write_files
 from fovconn_env.layout import LOST_PAIR
 from fovconn_env.text import printable
 from fovconn_env.training.evaluation.comparison import EXPERT, Comparison
@@ -84,8 +84,19 @@ class Section(NamedTuple):
 def write_report(comparison: Comparison, record: Record, folder: Path, head: Mapping[str, str]) -> list[Path]:
     """Write report.md, report.html and plots/*.png into a folder, which must be there; returns the files.
 
+    Arguments as of `make_report`. The same arguments write the same bytes.
+    """
+    texts, pictures = make_report(comparison, record, folder, head)
+    write_files({file: text.encode() for file, text in texts.items()})
+    return [*texts, *pictures]
+
+
+def make_report(
+    comparison: Comparison, record: Record, folder: Path, head: Mapping[str, str]
+) -> tuple[dict[Path, str], list[Path]]:
+    """The texts of report.md and report.html, and the pictures that were drawn for them.
+
     record: the numbers of the comparison; head: what was run, by name, for the top: seeds, versions, date, settings.
-    The same arguments write the same bytes.
     """
     plots = folder / "plots"
     plots.mkdir(exist_ok=True)
@@ -93,10 +104,8 @@ def write_report(comparison: Comparison, record: Record, folder: Path, head: Map
     address = _link(folder)
     words = "docs/metrics.md" if address else "docs/metrics.md of the project's sources"
     sections.append(Section("Definitions", terms=TERMS, link=(words, address)))
-    page, text = folder / "report.html", folder / "report.md"
-    write_text(text, in_markdown(head, sections, folder))
-    write_text(page, in_html(head, sections))
-    return [text, page, *(picture.path for section in sections for picture in section.pictures)]
+    texts = {folder / "report.md": in_markdown(head, sections, folder), folder / "report.html": in_html(head, sections)}
+    return texts, [picture.path for section in sections for picture in section.pictures]
 
 
 def in_markdown(head: Mapping[str, str], sections: Sequence[Section], folder: Path) -> str:

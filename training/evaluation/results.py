@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fovconn_env.baselines import POLICIES
+from fovconn_env.files import write_files
 from fovconn_env.scenarios.serialize import scenario_to_json
 from fovconn_env.training.evaluation.comparison import Comparison, compare
-from fovconn_env.training.evaluation.flights import Evaluation, label
+from fovconn_env.training.evaluation.flights import Evaluation, label, reuse_line
 from fovconn_env.training.evaluation.marl_eval import to_marl_eval
-from fovconn_env.training.evaluation.record import Record, about, run_block, to_json, write_json
+from fovconn_env.training.evaluation.record import Record, about, json_text, run_block, to_json
 
 
 class Published(NamedTuple):
@@ -27,22 +28,34 @@ class Published(NamedTuple):
 def publish(
     results: Sequence[Evaluation], policies: Sequence[str], settings: Mapping[str, Any], folder: Path, seconds: float
 ) -> Published:
-    """Write results.json, marl-eval.json and the report into a folder.
+    """Write results.json, marl-eval.json and the report into a folder: all of them or, after an exception, none.
 
     policies: as `find_policy` takes them; settings: changed from the presets; seconds: what the flights took.
     """
     comparison = compare(results, settings)
     kinds = {label(policy): about(policy) for policy in policies}
-    record = record_of(comparison, kinds)._replace(run=run_block(seconds))
-    files = [
-        write_json(folder / "results.json", to_json(record)),
-        write_json(folder / "marl-eval.json", to_marl_eval(results)),
-    ]
+    origin = _origin(results)
+    record = record_of(comparison, kinds)._replace(run=run_block(seconds) | origin)
+    texts = {
+        folder / "results.json": json_text(to_json(record)),
+        folder / "marl-eval.json": json_text(to_marl_eval(results)),
+    }
+    pictures: list[Path] = []
     if importlib.util.find_spec("matplotlib") is not None:
-        from fovconn_env.training.evaluation.report import write_report
+        from fovconn_env.training.evaluation.report import make_report
 
-        files += write_report(comparison, record, folder, _head(record, settings, policies))
-    return Published(record, files)
+        report, pictures = make_report(comparison, record, folder, _head(record, settings, policies) | origin)
+        texts |= report
+    write_files({file: text.encode() for file, text in texts.items()})
+    return Published(record, [*texts, *pictures])
+
+
+def _origin(results: Sequence[Evaluation]) -> dict[str, str]:
+    """Which episodes were not flown now, and which policies are others by now."""
+    reused = reuse_line(each.reused for each in results)
+    changed = dict.fromkeys(f"{name}, of {each.policy}" for each in results for name in each.changed)
+    about = {"reused": reused, "changed since it was flown": "; ".join(changed)}
+    return {name: text for name, text in about.items() if text}
 
 
 def record_of(comparison: Comparison, policies: Mapping[str, Mapping[str, Any]]) -> Record:
