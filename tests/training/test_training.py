@@ -4,6 +4,7 @@ import dataclasses
 import json
 import re
 import signal
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -21,11 +22,13 @@ from fovconn_env.baselines.learned.cards import BASES
 from fovconn_env.baselines.learned.inputs import LEADER, OWN, ROW
 from fovconn_env.baselines.learned.networks import FlatEncoder, SetEncoder
 from fovconn_env.baselines.learned.policy import from_file, silu
+from fovconn_env.errors import SettingError
 from fovconn_env.flights.state_hash import frozen_dtypes, state_hash
 from fovconn_env.kernel.jit import entry
 from fovconn_env.training.evaluation import evaluate, summary
-from fovconn_env.training.evaluation.campaign import Interrupted
-from fovconn_env.training.learn import learning
+from fovconn_env.training.evaluation.folders import LOCK, claimed
+from fovconn_env.training.evaluation.interruption import Interrupted
+from fovconn_env.training.learn import learning, origin
 from fovconn_env.training.learn.bc import BC, BCSettings
 from fovconn_env.training.learn.dagger import Dagger, DaggerSettings
 from fovconn_env.training.learn.datasets import record, save
@@ -224,16 +227,17 @@ def state(algorithm):
 
 @pytest.mark.parametrize("name", MAKERS)
 def test_a_resumed_training_is_the_one_without_a_break(name, tmp_path):
-    """Every bit of network, optimizer, buffer and worlds; and Ctrl-C in its midst."""
+    """Every bit of network, optimizer, buffer and worlds; and a signal to end in its midst."""
     budget, whole = Budget(steps=LENGTHS[name]), MAKERS[name]()
     best = train(whole, budget, tmp_path / "whole", scores=2, seeds=SEEDS)
 
     def interrupt(share, text):
         if 0.3 < share < 0.4:
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGTERM)
 
-    with pytest.raises(Interrupted, match=r"interrupted after \d+ steps; kept in .*, --resume goes on from there"):
+    with pytest.raises(Interrupted, match=r"after \d+ steps; kept in .*, --resume goes on from there") as told:
         train(MAKERS[name](), budget, tmp_path / "broken", scores=2, seeds=SEEDS, progress=interrupt)
+    assert told.value.number == signal.SIGTERM
     resumed = MAKERS[name]()
     again = train(resumed, budget, tmp_path / "broken", scores=2, seeds=SEEDS, resume=True)
     assert resumed.steps == whole.steps == LENGTHS[name]
@@ -252,7 +256,8 @@ def test_the_folder_holds_what_is_promised(name, tmp_path):
     trained = MAKERS[name]()
     best = train(trained, Budget(steps=LENGTHS[name]), tmp_path, scores=1, seeds=SEEDS)
     there = {path.name for path in tmp_path.iterdir()}
-    assert there == {f"{name}.safetensors", f"{name}.json", "model.zip", "checkpoint.npz", "curves.csv", "tensorboard"}
+    made = {f"{name}.safetensors", f"{name}.json", "model.zip", "checkpoint.npz", "curves.csv", "tensorboard"}
+    assert there == {*made, LOCK}
     card = json.loads((tmp_path / f"{name}.json").read_text())
     assert card["made"]["algorithm"] == name
     assert card["made"]["seed"] == 3
@@ -273,7 +278,7 @@ def test_a_score_is_the_mean_over_all_scenarios(tmp_path):
     hovering = scenario(**TINY, leader="none")
     tasks = [once, twice, twice, hovering]
     trained = Residual(tasks, 3, ResidualSettings(n_worlds=4, n_steps=2, batch=24), SMALL, n_threads=1)
-    told = learning.score(trained, tmp_path, SEEDS)
+    told = learning.score(trained, SEEDS)
     shares = [summary(evaluate("cohesive", task, SEEDS))["progress"] for task in tasks]
     assert np.isnan(shares[3])
     assert shares[0] != shares[1]
@@ -287,7 +292,7 @@ def test_a_policy_trained_with_the_filter_is_scored_with_it(tmp_path):
     trained = Team([chosen], 3, PPOSettings(n_worlds=1, n_steps=2, batch=6), SMALL, filtered=True, n_threads=1)
     with torch.no_grad():
         trained.policy.action_net.bias.copy_(torch.tensor([0.5, 0.0, 0.0, 0.0]))
-    told = learning.score(trained, tmp_path, SEEDS)
+    told = learning.score(trained, SEEDS)
     learning.write_policy(trained, tmp_path, {}, ())
     file = str(tmp_path / "ppo.safetensors")
     alone, held = (summary(evaluate(policy, chosen, SEEDS)) for policy in (file, f"safe:{file}"))
@@ -414,6 +419,74 @@ def test_a_resume_with_other_settings(tmp_path):
     place.write_bytes(place.read_bytes()[:-500])
     with pytest.raises(ValueError, match="is damaged or not complete"):
         train(team(), Budget(steps=144), tmp_path, resume=True, seeds=SEEDS)
+
+
+def test_a_training_is_not_replaced_without_a_word(tmp_path):
+    """Finished or not; fresh=True removes it, and what others have there stays."""
+    train(team(), Budget(steps=72), tmp_path, scores=1, seeds=SEEDS)
+    (tmp_path / "notes.txt").write_text("mine")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    for other in (team(), dagger()):
+        with pytest.raises(SettingError, match=r"--out must be a folder without a training, got .*--resume .*--fresh"):
+            train(other, Budget(steps=72), tmp_path, seeds=SEEDS)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+    train(team(gamma=0.5), Budget(steps=72), tmp_path, scores=1, seeds=SEEDS, fresh=True)
+    assert json.loads((tmp_path / "ppo.json").read_text())["made"]["settings"]["gamma"] == 0.5
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    assert len(list((tmp_path / "tensorboard").glob("events*"))) == 1
+    (tmp_path / "checkpoint.npz").unlink()
+    with pytest.raises(SettingError, match="a folder without a training"):
+        train(team(), Budget(steps=72), tmp_path, seeds=SEEDS)
+
+
+def test_a_training_folder_is_one_process_s(tmp_path):
+    with claimed(tmp_path), ThreadPoolExecutor(1) as other:
+        task = other.submit(train, cloning(), Budget(steps=64), tmp_path, seeds=SEEDS)
+        with pytest.raises(SettingError, match="--out must name a folder that is not in use"):
+            task.result()
+
+
+def test_a_resume_with_other_code_versions_or_data(tmp_path, monkeypatch):
+    """What differs is named; a data set of as many samples is another one all the same."""
+    train(cloning(), Budget(steps=64), tmp_path, scores=1, seeds=SEEDS)
+    version = re.escape(torch.__version__)
+    monkeypatch.setattr("torch.__version__", "1.0")
+    with pytest.raises(SettingError, match=rf"versions\.torch must be the checkpoint's \('{version}'\), got '1\.0'"):
+        train(cloning(), Budget(steps=128), tmp_path, resume=True, seeds=SEEDS)
+    monkeypatch.undo()
+    other = cloning()
+    other.wanted = other.wanted + 0.01
+    with pytest.raises(SettingError, match=r"data must be the checkpoint's \('\w{12}'\), got '\w{12}': resume with"):
+        train(other, Budget(steps=128), tmp_path, resume=True, seeds=SEEDS)
+    files = origin.code_files
+    edited = {"bc.py": "0" * 64, "sim/simulator.py": "1" * 64}
+    monkeypatch.setattr(origin, "code_files", lambda root: {n: edited.get(n, was) for n, was in files(root).items()})
+    with pytest.raises(SettingError, match=r"code\.sim/simulator\.py must be the checkpoint's .* '111111111111'"):
+        train(cloning(), Budget(steps=128), tmp_path, resume=True, seeds=SEEDS)
+    del edited["sim/simulator.py"]
+    with pytest.raises(SettingError, match=r"code\.training/learn/bc\.py must be the checkpoint's .* '000000000000'"):
+        train(cloning(), Budget(steps=128), tmp_path, resume=True, seeds=SEEDS)
+    monkeypatch.undo()
+    train(cloning(), Budget(steps=128), tmp_path, resume=True, scores=1, seeds=SEEDS)
+
+
+def test_half_a_line_of_the_curves_is_dropped(tmp_path):
+    """As a full disk or a kill leaves it."""
+    train(cloning(), Budget(steps=64), tmp_path, scores=1, seeds=SEEDS)
+    curves = tmp_path / "curves.csv"
+    whole = curves.read_text()
+    curves.write_text(whole + "64,lo")
+    train(cloning(), Budget(steps=128), tmp_path, resume=True, scores=1, seeds=SEEDS)
+    lines = curves.read_text().splitlines()
+    assert lines[: len(whole.splitlines())] == whole.splitlines()
+    assert all(line.count(",") == 2 for line in lines)
+
+
+def test_each_score_is_a_line(tmp_path):
+    lines = []
+    train(cloning(), Budget(steps=64), tmp_path, scores=2, seeds=SEEDS, say=lines.append)
+    assert [line.partition(",")[0] for line in lines] == ["bc 50%", "bc 100%"]
+    assert re.fullmatch(r"bc 50%, 32 steps, \d+\.\d min: worth .*, never_disconnected .*, the best so far", lines[0])
 
 
 def test_a_full_disk_keeps_the_last_good_checkpoint(tmp_path, monkeypatch):

@@ -19,7 +19,7 @@ from fovconn_env.bounds import listed
 from fovconn_env.errors import rule
 from fovconn_env.training.commands import dataset
 from fovconn_env.training.commands.options import OUT, check_folder, parse, read_scenarios
-from fovconn_env.training.commands.screen import out, progress
+from fovconn_env.training.commands.screen import err, out, progress
 
 app = typer.Typer(no_args_is_help=True, help="Train policies, and record flights to train from.")
 SHIPPED = ", ".join(name for name, kind in POLICIES.items() if issubclass(kind, Learned)) or "none yet"
@@ -47,6 +47,7 @@ Out = Annotated[Path | None, typer.Option("--out", help="Folder for policy, card
 Resume = Annotated[
     bool, typer.Option("--resume", help="Go on from the folder's checkpoint, exactly as without a break.")
 ]
+Anew = Annotated[bool, typer.Option("--fresh", help="Begin anew in a folder that holds a training, which is removed.")]
 Kind = Annotated[str, typer.Option("--network", help="set (any team size and order of rows) or mlp (to compare).")]
 Tune = Annotated[
     list[str] | None,
@@ -54,7 +55,7 @@ Tune = Annotated[
         "--tune", metavar="NAME=VALUE", help="Change a hyper-parameter; `--tune help` lists them. Repeatable."
     ),
 ]
-Threads = Annotated[int | None, typer.Option(help="Threads of simulator and torch; one a core by default.", min=1)]
+Threads = Annotated[int, typer.Option(help="Threads of simulator and torch; more than one on idle cores only.", min=1)]
 Scores = Annotated[int, typer.Option(help="How often the policy is scored, and a checkpoint written.", min=1)]
 Start = Annotated[
     str | None, typer.Option("--start", help=f"Policy to go on from: a file.safetensors, or one of: {SHIPPED}.")
@@ -74,9 +75,10 @@ COMMON = {
     "seed": (Seed, 0),
     "folder": (Out, None),
     "resume": (Resume, False),
+    "fresh": (Anew, False),
     "network": (Kind, "set"),
     "tune": (Tune, None),
-    "threads": (Threads, None),
+    "threads": (Threads, 1),
     "scores": (Scores, 10),
 }  # name: (option, default)
 
@@ -188,18 +190,20 @@ def _train(name: str, given: Mapping[str, Any]) -> None:
     flown = read_scenarios(given["scenarios"] or ["LeaderFollow-v0"], given["settings"])
     words: list[str] = [f"base={given['base']}", *tune] if "base" in given else tune
     hyper, network = tuned(kind, Network, words, given["network"])
-    if given["threads"]:
-        torch.set_num_threads(given["threads"])
+    rule(not (given["resume"] and given["fresh"]), "--resume and --fresh", "given one of the two", "both", "not both")
+    torch.set_num_threads(given["threads"])
     target = given["folder"] or OUT / name
     check_folder(target)
     with progress() as bar:
-        task = bar.add_task("loading (compiles once, ~20 s)", total=1.0)
+        task = bar.add_task("loading (compiles once, half a minute)", total=1.0)
         best = train(
             getattr(module, trainer.algorithm)(flown, given["seed"], hyper, network, **arguments),
             budget,
             target,
             resume=given["resume"],
+            fresh=given["fresh"],
             scores=given["scores"],
+            say=lambda line: None if err.is_terminal else err.print(line, highlight=False, soft_wrap=True),
             progress=lambda share, text: bar.update(task, completed=share, description=text or name),
         )
     shown = ", ".join(f"{key} {value:.3g}" for key, value in best.items() if key not in ("worth", "steps"))

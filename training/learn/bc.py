@@ -5,6 +5,7 @@ The learner never sees the states its own errors lead to; that is what DAgger ad
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -67,6 +68,12 @@ class BC(Algorithm):
         loss = regress(self.policy, self.seen, self.wanted, len(self.seen), self.generator(), rate, self.s)
         self.steps += self.s.n_updates * self.s.batch
         return {"loss": loss, "learning_rate": rate}
+
+    def data(self) -> str:
+        """Hash of what it learns from."""
+        digest = hashlib.sha256(self.seen.tobytes())
+        digest.update(self.wanted.tobytes())
+        return digest.hexdigest()[:12]
 
     def recipe(self) -> dict:
         """With the size of the data, which tells one set from another."""

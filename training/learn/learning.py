@@ -5,11 +5,12 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
-import platform
+import re
 import shlex
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -17,15 +18,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numba
 import numpy as np
-import stable_baselines3
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.policies import ActorCriticPolicy
 from torch.utils.tensorboard import SummaryWriter
 
-import fovconn_env
 from fovconn_env import Scenario
 from fovconn_env.baselines.laws.safety import safe
 from fovconn_env.baselines.learned.cards import SUFFIX, write
@@ -45,13 +43,17 @@ from fovconn_env.files import (
 )
 from fovconn_env.scenarios.serialize import scenario_to_json
 from fovconn_env.training.evaluation import evaluate, summary
-from fovconn_env.training.evaluation.campaign import Interrupted, noted_interruption
+from fovconn_env.training.evaluation.folders import claimed
+from fovconn_env.training.evaluation.interruption import Interrupted, noted_interruption
 from fovconn_env.training.learn.checkpoints import below, check_tensors, counters, optimizer_state
 from fovconn_env.training.learn.model import Network, weights
+from fovconn_env.training.learn.origin import check_origin, check_recipe, code, versions
 
 CHOICE_SEEDS = range(10_000, 10_064)  # choose the checkpoint; 0-319 are kept for the evaluation
 SCORES = "never_disconnected success sct progress collision".split()
-CHECKPOINT = "checkpoint.npz"
+CHECKPOINT, CURVES, MODEL = "checkpoint.npz", "curves.csv", "model.zip"
+BOARD = "tensorboard"
+_ROW = re.compile(r"(\d+),[\w/]+,[\w.+-]+")  # of the curves; a full disk may leave half of one
 KIND = Kind("fovconn_checkpoint", "checkpoint", "a training writes them", 2, old_key="recipe")
 
 
@@ -94,6 +96,10 @@ class Algorithm(ABC):
         recipe |= {"network": dataclasses.asdict(self.network), "settings": dataclasses.asdict(self.settings)}
         return json.loads(json.dumps(recipe))
 
+    def data(self) -> str:
+        """Hash of the data set that it learns from, "" if it flies itself."""
+        return ""
+
     def pack(self) -> dict[str, np.ndarray]:
         """Everything that `iterate` reads and changes, as arrays."""
         arrays = {f"policy/{name}": tensor.numpy() for name, tensor in self.policy.state_dict().items()}
@@ -118,18 +124,18 @@ class Curves:
 
     def __init__(self, folder: Path, step: int) -> None:
         """step: of the checkpoint; later lines of an interrupted run are dropped."""
-        self._file = folder / "curves.csv"
+        self._file = folder / CURVES
         lines = self._file.read_text("utf-8").splitlines()[1:] if self._file.is_file() and step else []
-        kept = [line for line in lines if int(line.split(",")[0]) <= step]
+        kept = [line for line in lines if (row := _ROW.fullmatch(line)) and int(row[1]) <= step]
         write_text(self._file, "\n".join(["step,name,value", *kept, ""]))
-        self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=step or None)
+        self._board = SummaryWriter(str(folder / BOARD), purge_step=step or None)
 
     def add(self, step: int, numbers: Mapping[str, float]) -> None:
         """Append numbers of a step."""
         with self._file.open("a", encoding="utf-8") as stream:
-            for name, value in numbers.items():
-                stream.write(f"{step},{name},{value:.6g}\n")
-                self._board.add_scalar(name, value, step)
+            stream.writelines(f"{step},{name},{value:.6g}\n" for name, value in numbers.items())
+        for name, value in numbers.items():
+            self._board.add_scalar(name, value, step)
 
     def close(self) -> None:
         """Write what is buffered."""
@@ -161,32 +167,65 @@ def train(
     folder: Path,
     *,
     resume: bool = False,
+    fresh: bool = False,
     scores: int = 10,
     seeds: Sequence[int] = CHOICE_SEEDS,
     progress: Callable[[float, str], None] = lambda share, text: None,
+    say: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
     """Train, score the policy `scores` times on `seeds` and keep the best one; what it scored.
 
-    The folder gets NAME.safetensors with its card, model.zip (SB3, to go on with), curves and a checkpoint. Ctrl-C ends
-    it with a checkpoint and `Interrupted`. Raises `ValueError` for a resume with other settings or a training that
+    The folder gets NAME.safetensors with its card, model.zip (SB3, to go on with), curves and a checkpoint. One that
+    holds a training is refused, unless to `resume` it, or to begin `fresh` in its place. Ctrl-C, or another signal to
+    end, leaves a checkpoint and raises `Interrupted`. `say` is told a line for each score.
+
+    Raises `SettingError` for a folder that is in use, a resume with other settings, code or data, and a training that
     diverges, `OSError` where a file cannot be written; what was there before stays.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    with claimed(folder):
+        if not resume:
+            make_room(folder, algorithm.name, fresh)
+        return _train(algorithm, budget, folder, resume, scores, seeds, progress, say)
+
+
+def make_room(folder: Path, name: str, fresh: bool) -> None:
+    """Remove a training, if `fresh`; else raise `SettingError` for a folder that holds one."""
+    names = (CHECKPOINT, CURVES, MODEL, f"{name}{SUFFIX}", f"{name}.json")
+    there = [file for file in names if (folder / file).exists()]
+    got = f"{folder}, which has {', '.join(there)}"
+    hint = "--resume goes on with it, --fresh removes it and begins anew (resume=True, fresh=True)"
+    rule(fresh or not there, "--out", "a folder without a training", got, hint)
+    for file in [folder / file for file in there] + sorted((folder / BOARD).glob("events.out.tfevents.*")):
+        file.unlink()
+
+
+def _train(
+    algorithm: Algorithm,
+    budget: Budget,
+    folder: Path,
+    resume: bool,
+    scores: int,
+    seeds: Sequence[int],
+    progress: Callable[[float, str], None],
+    say: Callable[[str], None],
+) -> dict[str, Any]:
+    """As `train`, in a folder that is claimed and ready."""
     place, best = folder / CHECKPOINT, {}
+    made_of = {"data": algorithm.data(), "versions": versions(), "code": code()}
     if resume:
         hint = "--resume goes on in a folder in which a training was"
         rule(place.is_file(), "checkpoint", "a file that exists", str(place), hint)
-        best = restore(algorithm, read_archive(place, KIND), printable(str(place)))
+        best = restore(algorithm, read_archive(place, KIND), made_of, printable(str(place)))
     curves, before = Curves(folder, algorithm.steps), algorithm.seconds
     began = time.perf_counter()
 
     def save() -> None:
-        header = {"recipe": algorithm.recipe(), "best": best}
+        header = {"recipe": algorithm.recipe(), "origin": made_of, "best": best}
         write_archive(place, KIND, Archive(header, algorithm.pack()), compress=False)
 
-    with noted_interruption() as interrupted:
+    with noted_interruption() as interruption:
         share = budget.share(algorithm.steps, algorithm.seconds)
-        while share < 1.0 and not interrupted.is_set():
+        while share < 1.0 and not interruption:
             done, numbers = int(scores * share), algorithm.iterate(share)
             algorithm.iteration += 1
             algorithm.seconds = before + time.perf_counter() - began
@@ -195,32 +234,33 @@ def train(
             numbers["speed"] = (algorithm.steps) / max(algorithm.seconds, 1e-9)
             if int(scores * share) > done:
                 progress(share, "scoring")
-                scored = score(algorithm, folder, seeds)
+                scored = score(algorithm, seeds)
                 numbers |= {f"score/{name}": value for name, value in scored.items()}
                 if scored["worth"] > best.get("worth", -np.inf):
                     best = {**scored, "steps": algorithm.steps}
                     write_policy(algorithm, folder, best, seeds)
                 save()
+                say(score_line(algorithm, share, scored, best))
             curves.add(algorithm.steps, numbers)
             progress(share, ", ".join(f"{name} {numbers[name]:.3g}" for name in ("loss", "success") if name in numbers))
         curves.close()
-        if interrupted.is_set():
+        if interruption:
             save()
-            raise Interrupted(
-                f"interrupted after {algorithm.steps} steps; kept in {folder}, --resume goes on from there"
-            )
+            kept = f"interrupted after {algorithm.steps} steps; kept in {folder}, --resume goes on from there"
+            raise Interrupted(kept, interruption.number)
     return best
 
 
-def restore(algorithm: Algorithm, checkpoint: Archive, path: str) -> dict[str, Any]:
-    """Put a checkpoint into an algorithm; what its best policy scored. path: the file's name in errors.
+def restore(algorithm: Algorithm, checkpoint: Archive, made_of: Mapping[str, Any], path: str) -> dict[str, Any]:
+    """Put a checkpoint into an algorithm; what its best policy scored.
 
-    Raises `SettingError` for a training of other settings, and `Damaged` for what no training leaves.
+    made_of: what the algorithm depends on, see `_train`; path: the file's name in errors. Raises `SettingError` for a
+    training of other settings, code or data, and `Damaged` for what no training leaves.
     """
     header = checkpoint.header
     try:
-        check_keys("header", header, ("recipe", "best"))
-        for name in ("recipe", "best"):
+        check_keys("header", header, ("recipe", "best"), ("origin",))
+        for name in header:
             rule(isinstance(header[name], dict), name, "an object", type(header[name]).__name__, "names and values")
         tasks = header["recipe"].get("scenarios")
         whole = isinstance(tasks, list) and all(isinstance(scenario, dict) for scenario in tasks)
@@ -230,6 +270,7 @@ def restore(algorithm: Algorithm, checkpoint: Archive, path: str) -> dict[str, A
     except SettingError as problem:
         raise Damaged(f"{path} is damaged: {one_line(problem)}") from problem
     check_recipe(header["recipe"], algorithm.recipe())
+    check_origin(header.get("origin", {}), made_of)
     try:
         algorithm.unpack(checkpoint.arrays)
     except SettingError as problem:
@@ -237,17 +278,23 @@ def restore(algorithm: Algorithm, checkpoint: Archive, path: str) -> dict[str, A
     return header["best"]
 
 
-def score(algorithm: Algorithm, folder: Path, seeds: Sequence[int]) -> dict[str, float]:
+def score_line(algorithm: Algorithm, share: float, scored: Mapping[str, float], best: Mapping[str, Any]) -> str:
+    """What a score is and when it came, and whether it is the best so far."""
+    numbers = ", ".join(f"{name} {value:.3g}" for name, value in scored.items())
+    done = f"{algorithm.name} {share:.0%}, {algorithm.steps} steps, {algorithm.seconds / 60.0:.1f} min"
+    return f"{done}: {numbers}{', the best so far' if best['steps'] == algorithm.steps else ''}"
+
+
+def score(algorithm: Algorithm, seeds: Sequence[int]) -> dict[str, float]:
     """Means over scenarios and seeds of what the policy is worth, flown by the kernel; worth is what counts."""
-    trial = folder / f"trial{SUFFIX}"
-    write_policy(algorithm, folder, {}, (), file=trial)
     tasks = list(dict.fromkeys(algorithm.scenarios))
-    flier = safe(from_file(trial)) if algorithm.filtered else from_file(trial)
-    with ThreadPoolExecutor(torch.get_num_threads()) as pool:  # kernels leave the GIL
-        flown = dict(zip(tasks, pool.map(lambda task: evaluate(flier, task, seeds), tasks), strict=True))
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(torch.get_num_threads()) as pool:
+        trial = Path(folder, f"trial{SUFFIX}")
+        write_policy(algorithm, Path(folder), {}, (), file=trial)
+        flier = safe(from_file(trial)) if algorithm.filtered else from_file(trial)
+        evaluations = pool.map(lambda task: evaluate(flier, task, seeds), tasks)  # kernels leave the GIL
+        flown = dict(zip(tasks, evaluations, strict=True))
     results = [summary(flown[scenario]) for scenario in algorithm.scenarios]
-    for file in (trial, trial.with_suffix(".json")):
-        file.unlink()
     finite = {name: [result[name] for result in results if np.isfinite(result[name])] for name in SCORES}
     means = {name: float(np.mean(values)) for name, values in finite.items() if values}  # no stick, no progress
     return {"worth": means["never_disconnected"] + means["success"] + means["sct"], **means}
@@ -262,7 +309,7 @@ def write_policy(
     if file is None:
         stream = io.BytesIO()
         algorithm.model.save(stream)
-        write_files({folder / "model.zip": stream.getvalue()})
+        write_files({folder / MODEL: stream.getvalue()})
     write(
         file or folder / f"{algorithm.name}{SUFFIX}",
         weights(algorithm.policy),
@@ -273,36 +320,6 @@ def write_policy(
         made=made,
         scores={**scores, "seeds": f"{seeds[0]}-{seeds[-1]}"} if seeds else {},
     )
-
-
-def check_recipe(stored: Mapping[str, Any], current: Mapping[str, Any]) -> None:
-    """Raise `SettingError` naming the first setting in which a resumed training differs from its checkpoint."""
-    if all("type" not in scenario for scenario in stored["scenarios"]):
-        current = {**current, "scenarios": as_in_version_0_1(current["scenarios"])}
-    hint = "resume with the same command, or train in another --out"
-    for name, new in current.items():
-        old, what = stored.get(name), name
-        if isinstance(old, dict) and isinstance(new, dict):
-            key = next((key for key in new if old.get(key) != new[key]), None)
-            if key is None:
-                continue
-            old, new, what = old.get(key), new[key], f"{name}.{key}"
-        if old != new:
-            if name == "scenarios":
-                old, new = ([scenario.get("name") for scenario in each] for each in (stored[name], current[name]))
-            raise SettingError(f"{what} must be the checkpoint's ({one_line(repr(old))}), got {new!r}: {hint}")
-
-
-def as_in_version_0_1(value: Any) -> Any:
-    """Records of scenarios as checkpoints of version 0.1 hold them: without types, null for what is not finite."""
-    if isinstance(value, list):
-        return [as_in_version_0_1(item) for item in value]
-    if not isinstance(value, Mapping):
-        return value
-    if value["type"] == "float":
-        return None
-    gone = {"lag_free": False} if value["type"] == "YawEstimator" else {}
-    return gone | {name: as_in_version_0_1(item) for name, item in value.items() if name != "type"}
 
 
 def check_finite(algorithm: Algorithm, place: Path) -> None:
@@ -319,9 +336,3 @@ def commit() -> str:
     here = Path(__file__).parent
     task = subprocess.run(["git", "rev-parse", "--short=12", "HEAD"], cwd=here, capture_output=True, text=True)
     return task.stdout.strip()
-
-
-def versions() -> dict[str, str]:
-    """Versions of the packages that a training depends on."""
-    modules = {"fovconn_env": fovconn_env, "numpy": np, "numba": numba, "torch": torch, "sb3": stable_baselines3}
-    return {"python": platform.python_version(), **{name: str(m.__version__) for name, m in modules.items()}}
