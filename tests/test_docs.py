@@ -97,11 +97,12 @@ def test_commands_parse(arguments):
     policies = values.get("policies") or [values.get("policy") or "expert"]
     yours = re.compile(r"my_policy\.py(:\w+)?|(safe:)?out/(\w+)/\3\.safetensors")  # written or trained by the reader
     assert all(policy in POLICIES or yours.fullmatch(policy) for policy in policies)
-    for name in values.get("scenario_names") or [values.get("scenario_name") or "LeaderFollow-v0"]:
+    names = values.get("scenario_names") or [values.get("scenario_name") or "LeaderFollow-v0"]
+    if values.get("suite_name"):
+        names = suite(values["suite_name"], policies, values.get("only") or ())[1]
+    for name in names:
         name, *settings = name.split()  # fovconn train takes "LossyRadio-v0 level=4" as well
         scenario(name, **parse([*settings, *(values.get("settings") or [])]))
-    if values.get("suite_name"):
-        suite(values["suite_name"])
     if values.get("seeds"):
         parse_seeds(values["seeds"])
 

@@ -49,7 +49,7 @@ def files(tmp_path_factory):
     flight().save(folder / "flight.npz")
     episodes = datasets.save(datasets.record("expert", scenario(**TINY), [50000]), folder / "data.npz")
     cell = shelf.Cell("expert", scenario(**TINY))
-    shelf.Shelf(folder).save(cell, evaluate(cell.policy, cell.scenario, [0, 1]))
+    shelf.Shelf(folder).save(cell, shelf.Flown.of(evaluate(cell.policy, cell.scenario, [0, 1]), {"/a": ""}))
     state = {
         "policy/w": np.ones((3, 2), "f4"),
         "rows/0/generators": np.array(["{}", ""]),

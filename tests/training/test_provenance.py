@@ -13,11 +13,12 @@ from safetensors.numpy import save_file
 from fovconn_env import scenario
 from fovconn_env.baselines import find_policy
 from fovconn_env.errors import SettingError
+from fovconn_env.files import Archive, Damaged, read_archive, write_archive
 from fovconn_env.training.evaluation import provenance
 from fovconn_env.training.evaluation.campaign import fly_cells
 from fovconn_env.training.evaluation.flights import Reused, reuse_line
 from fovconn_env.training.evaluation.provenance import Reads, changed, merge, packages, sources, torn
-from fovconn_env.training.evaluation.shelf import Cell, Flown, Shelf, fingerprint
+from fovconn_env.training.evaluation.shelf import EVALUATION, Cell, Flown, Shelf, fingerprint
 
 TASK = scenario("LeaderFollow-v0", n_agents=3, max_cycles=20, warmup=0.1)
 POLICY = """
@@ -270,6 +271,29 @@ def test_paths_that_are_no_text_are_kept(tmp_path):
     shelf = Shelf(tmp_path)
     shelf.save(cell, Flown.of(evaluate("zero", TASK, [0]), {odd: ""}))
     assert shelf.load(cell)[0].files == {odd: ""}
+
+
+@pytest.mark.parametrize("what", ["files", "hash", "times", "seeds", "length"])
+def test_a_file_that_is_well_formed_and_wrong_is_damaged(tmp_path, what):
+    from fovconn_env.training.evaluation import evaluate
+
+    cell, shelf = Cell("zero", TASK), Shelf(tmp_path)
+    shelf.save(cell, Flown.of(evaluate("zero", TASK, [0, 1]), {"/a": ""}))
+    (file,) = tmp_path.glob("*.npz")
+    header, arrays = read_archive(file, EVALUATION)
+    if what == "files":
+        header["files"] = ["/a"]
+    elif what == "hash":
+        header["files"] = {"/a": 1}
+    elif what == "times":
+        del arrays["times"]
+    elif what == "seeds":
+        arrays["seeds"] = arrays["seeds"] * 0.5
+    else:
+        arrays["sct"] = arrays["sct"][:1]
+    write_archive(file, EVALUATION, Archive(header, arrays))
+    with pytest.raises(Damaged, match=r"is damaged: it does not hold what belongs to finished episodes; delete it"):
+        shelf.load(cell)
 
 
 def test_the_report_says_what_was_reused(tmp_path):

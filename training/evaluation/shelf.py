@@ -11,7 +11,7 @@ import platform
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from urllib.parse import quote, unquote_to_bytes
 
 import numba
@@ -21,7 +21,7 @@ import fovconn_env
 from fovconn_env import Scenario
 from fovconn_env.baselines import find_policy
 from fovconn_env.errors import FovconnError, SettingError
-from fovconn_env.files import Archive, Kind, read_archive, write_archive
+from fovconn_env.files import Archive, Damaged, Kind, printable, read_archive, write_archive
 from fovconn_env.scenarios.serialize import scenario_to_json
 from fovconn_env.text import file_name
 from fovconn_env.training.evaluation.flights import Evaluation, join, label
@@ -85,13 +85,14 @@ class Shelf:
     def load(self, cell: Cell) -> tuple[Flown | None, list[str]]:
         """A cell's episodes, None if there are none; and the names of the files that have changed since.
 
-        Raises `ValueError` for a file that cannot be read.
+        Raises `OtherKind` and `Damaged` for a file that holds something else, and `OSError`.
         """
         file = self._file(cell)
         if file is None or not file.is_file():
             return None, []
         try:
             header, arrays = read_archive(file, EVALUATION)
+            _check(file, header, arrays)
         except FovconnError as problem:
             raise type(problem)(f"{problem}; delete it, and its episodes are flown again") from problem
         histograms, seeds, times = (arrays.pop(name) for name in ("histograms", "seeds", "times"))
@@ -115,6 +116,16 @@ class Shelf:
         if self.folder is None:
             return None
         return self.folder / f"{label(cell.policy)}@{file_name(cell.scenario.name)}-{fingerprint(cell)}.npz"
+
+
+def _check(file: Path, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
+    """Raise `Damaged` unless this is what `Shelf.save` writes: E of everything, and files with their hashes."""
+    files, seeds = header.get("files"), arrays.get("seeds", np.zeros(0))
+    whole = {"seeds", "times", "histograms"} <= arrays.keys() and isinstance(files, dict)
+    whole = whole and all(isinstance(was, str) for was in dict(files or {}).values())
+    whole = whole and all(arrays[name].dtype.kind in "iu" and arrays[name].ndim == 1 for name in ("seeds", "times"))
+    if not whole or any(array.shape[:1] != seeds.shape for array in arrays.values()):
+        raise Damaged(f"{printable(str(file))} is damaged: it does not hold what belongs to finished episodes")
 
 
 def fingerprint(cell: Cell) -> str:
