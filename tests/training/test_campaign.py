@@ -220,3 +220,12 @@ def test_a_suite_can_be_restricted():
     ):
         with pytest.raises(SettingError, match=rf"--only must be a policy or a scenario of the suite quick, .*{hint}"):
             suite("quick", own, [bad])
+
+
+def test_files_of_a_policy_with_any_name_stay_in_their_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    own = "from fovconn_env.baselines import Expert\nMine = type('x' * 300 + '/../y', (Expert,), {})\n"
+    Path("mine.py").write_text(own)
+    out, cell = tmp_path / "a" / "out", Cell("mine.py:Mine", scenario(TASK, max_cycles=2))
+    fly_cells([cell], [0], folder=out, recordings=out)
+    assert [path.parent for path in tmp_path.rglob("*.npz")] == [out, out]

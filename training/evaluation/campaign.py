@@ -217,7 +217,7 @@ def _fly_order(watch: Watch, k: int, cell: Cell, seeds: list[int], recordings: P
 
 def recording_file(folder: Path, cell: Cell, seed: int) -> Path:
     """Where `fly_cells` records a flight."""
-    return folder / f"{label(cell.policy)}@{file_name(cell.scenario.name)}-{seed}.npz"
+    return folder / f"{file_name(label(cell.policy))}@{file_name(cell.scenario.name)}-{seed}.npz"
 
 
 _kind = functools.cache(find_policy)  # in a process that flies, a policy is loaded once: an edit changes no later block

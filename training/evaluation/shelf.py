@@ -115,7 +115,7 @@ class Shelf:
     def _file(self, cell: Cell) -> Path | None:
         if self.folder is None:
             return None
-        return self.folder / f"{label(cell.policy)}@{file_name(cell.scenario.name)}-{fingerprint(cell)}.npz"
+        return self.folder / f"{file_name(label(cell.policy))}@{file_name(cell.scenario.name)}-{fingerprint(cell)}.npz"
 
 
 def _check(file: Path, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
