@@ -269,12 +269,12 @@ def understood(folder, suffix, data, **changes):
 
 
 def test_any_drawing_is_read_or_refused(tmp_path):
-    n, read = count(200, 60_000), 0
+    n, read = count(120, 60_000), 0
     for seed in range(n):
         maker = Maker(seed)
         data = maker.drawing()
         read += understood(tmp_path, ".svg", maker.broken(data) if seed % 4 == 0 else data, strokes=seed % 3 > 0)
-    assert read > n / 20
+    assert read > n / 30
 
 
 def test_any_json_map_is_read_or_refused(tmp_path):
@@ -288,6 +288,7 @@ def test_any_json_map_is_read_or_refused(tmp_path):
 
 HEAD = '<svg xmlns="http://www.w3.org/2000/svg">'
 USE = '<use href="#p"/>'
+STAIRS = "h.1v.1" * 50 + "zm9 0"
 LINK = '<a class="a"/>'
 
 
@@ -297,11 +298,11 @@ LINK = '<a class="a"/>'
         ("a.svg", HEAD + '<path d="M0 0' + "l1 1 " * 700_000 + 'z"/></svg>', "of at most 100000 corners"),
         ("a.svg", HEAD + '<path d="' + "M0 0h1v1z" * 60_000 + '"/></svg>', "of at most 100000 corners"),
         ("a.svg", HEAD + '<path d="' + "M0 0" * 900_000 + '"/></svg>', "of at most 100000 corners"),
-        ("a.svg", HEAD + '<path d="M0 0' + "h1v1zm2 0" * 8_000 + '"/></svg>', "of at most 20000 corners, got 24000"),
+        ("a.svg", HEAD + f'<path d="M0 0{STAIRS * 201}"/></svg>', "of at most 20000 corners, got 20"),
         ("a.svg", HEAD + '<circle r="1"/>' * 60_000 + "</svg>", "of at most 50000 elements"),
         ("a.svg", HEAD + "<g>" * 900_000, "of at most 50000 elements"),
         ("a.svg", f"{HEAD}<style>{'.a{b:c}' * 90_000}</style></svg>", "of at most 10000 rules"),
-        ("a.svg", f"{HEAD}<style>{'.a{b:c}' * 9000}</style>{LINK * 9000}</svg>", "at most 1000000 comparisons"),
+        ("a.svg", f"{HEAD}<style>{'.a{b:c}' * 9000}</style>{LINK * 9000}</svg>", "at most 300000 comparisons"),
         ("a.svg", f"{HEAD}<style>{'@media a{' * 90_000}</style></svg>", "blocks in blocks"),
         ("a.svg", f'{HEAD}<circle r="1" transform="{"scale(1)" * 90_000}"/></svg>', "transform must be like"),
         (

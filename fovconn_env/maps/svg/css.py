@@ -9,7 +9,7 @@ from typing import NamedTuple
 from fovconn_env.maps.svg.document import DRAWN, Element, drawing_rule
 
 MAX_RULES = 10_000  # of a drawing, a selector each
-MAX_TESTS = 1_000_000  # of a rule against an element
+MAX_TESTS = 300_000  # of a rule against an element
 _MAX_DEPTH = 4  # of blocks in blocks
 _COMMENT = re.compile(r"/\*.*?(?:\*/|\Z)", re.DOTALL)
 _PIECE = re.compile(r""""[^"]*"?|'[^']*'?|[{};]|[^"'{};]+""")
