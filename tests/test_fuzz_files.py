@@ -15,6 +15,7 @@ from fovconn_env.errors import SettingError
 from fovconn_env.files import RECORDING, Archive, Damaged, Kind, OtherKind, parse_archive, parse_json, write_archive
 from fovconn_env.flights import recording
 from fovconn_env.training.evaluation import evaluate, record, shelf
+from fovconn_env.training.evaluation.episode_checks import check_file
 from fovconn_env.training.learn import datasets
 from tests.fuzzing import count
 
@@ -48,8 +49,9 @@ def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("files")
     flight().save(folder / "flight.npz")
     episodes = datasets.save(datasets.record("expert", scenario(**TINY), [50000]), folder / "data.npz")
-    cell = shelf.Cell("expert", scenario(**TINY))
-    shelf.Shelf(folder).save(cell, shelf.Flown.of(evaluate(cell.policy, cell.scenario, [0, 1]), {"/a": ""}))
+    flown = evaluate("expert", scenario(**TINY), [0, 1])
+    times = {"seeds": np.array(flown.seeds), "times": np.array([7, 8]), "histograms": flown.histograms}
+    header = {"policy": "expert", "scenario": "LeaderFollow-v0", "files": {"mine.py": "0f", "a%20b": ""}}
     state = {
         "policy/w": np.ones((3, 2), "f4"),
         "rows/0/generators": np.array(["{}", ""]),
@@ -58,7 +60,7 @@ def files(tmp_path_factory):
     return {
         RECORDING: (folder / "flight.npz").read_bytes(),
         datasets.KIND: episodes.read_bytes(),
-        shelf.EVALUATION: next(folder.glob("expert@*.npz")).read_bytes(),
+        shelf.EVALUATION: written(folder, shelf.EVALUATION, Archive(header, {**times, **flown.episodes})),
         CHECKPOINT: written(folder, CHECKPOINT, Archive({"recipe": {}, "best": {}}, state), compress=False),
     }
 
@@ -193,7 +195,12 @@ def read_record(header, arrays):
     assert record.from_json(read_again(record.to_json(read))).seeds == read.seeds
 
 
+def read_finished(header, arrays):
+    check_file(read_again(header), arrays, "file.npz")
+
+
 READERS = {
+    "file of finished episodes": (read_finished, (Damaged,)),
     "recording": (read_recording, (Damaged, recording.OtherVersion)),
     "data set": (read_data_set, (Damaged, SettingError)),
     "record": (read_record, (SettingError,)),
@@ -250,7 +257,7 @@ NUMBERS = [np.nan, np.inf, -1.0, 1e30, 2.0**62, -(2.0**62), 7.0]
 
 
 @pytest.mark.fuzz
-@pytest.mark.parametrize("name", ["recording", "data set"])
+@pytest.mark.parametrize("name", ["recording", "data set", "file of finished episodes"])
 def test_arrays_that_are_wrong(name, contents):
     """Of other types and shapes, with numbers of all kinds, missing, or with others' names."""
     (header, arrays), rng, (read, errors) = contents[name], random.Random(4), READERS[name]

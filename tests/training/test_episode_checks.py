@@ -5,8 +5,9 @@ import pytest
 
 from fovconn_env import scenario
 from fovconn_env.errors import SettingError
+from fovconn_env.files import Damaged
 from fovconn_env.training.evaluation import evaluate
-from fovconn_env.training.evaluation.episode_checks import check_episodes
+from fovconn_env.training.evaluation.episode_checks import check_episodes, check_file
 
 
 @pytest.fixture(scope="module")
@@ -38,3 +39,14 @@ def test_arrays_of_no_campaign_are_refused(case, arrays):
     wrong = {name: array for name, array in {**arrays, **changes}.items() if array is not None}
     with pytest.raises(SettingError, match=message):
         check_episodes(wrong)
+
+
+@pytest.mark.parametrize("files", [None, [], {"a.py": 1}, {"a.py": "\x1b[2J"}])
+def test_headers_of_no_campaign_are_refused(files, arrays):
+    times = {"times": np.array([1, 2])}
+    header = {"policy": "expert", "scenario": "LeaderFollow-v0", "files": {"a.py": "0f"}}
+    check_file(header, {**arrays, **times}, "e.npz")
+    with pytest.raises(Damaged, match=r"^e\.npz is damaged: files must be hashes by name"):
+        check_file(header | {"files": files}, {**arrays, **times}, "e.npz")
+    with pytest.raises(Damaged, match="with 'times'"):
+        check_file(header, arrays, "e.npz")

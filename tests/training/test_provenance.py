@@ -292,7 +292,7 @@ def test_a_file_that_is_well_formed_and_wrong_is_damaged(tmp_path, what):
     else:
         arrays["sct"] = arrays["sct"][:1]
     write_archive(file, EVALUATION, Archive(header, arrays))
-    with pytest.raises(Damaged, match=r"is damaged: it does not hold what belongs to finished episodes; delete it"):
+    with pytest.raises(Damaged, match=r"is damaged: .*; delete it"):
         shelf.load(cell)
 
 

@@ -1,13 +1,15 @@
-"""What a file of finished episodes must hold, whoever wrote it. Raises `SettingError`."""
+"""What a file of finished episodes must hold, whoever wrote it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
-from fovconn_env.errors import rule
-from fovconn_env.fields import check_array, check_keys
+from fovconn_env.errors import SettingError, rule
+from fovconn_env.fields import check_array, check_keys, check_texts
+from fovconn_env.files import Damaged, one_line
 from fovconn_env.flights.metrics import ERRORS, N_BINS
 from fovconn_env.training.evaluation.flights import MEANS, SHARES
 from fovconn_env.training.evaluation.record import UNITS
@@ -16,8 +18,24 @@ _NEEDED = ("seeds", "histograms", *SHARES, *MEANS, "least_separation", "yaw_rms_
 _OTHERS = tuple(name for names in UNITS for name in names.split())
 
 
+def check_file(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray], path: str) -> None:
+    """`Damaged` for what is no file of finished episodes; path: its name in errors."""
+    try:
+        check_keys("header", header, ("policy", "scenario", "files"))
+        check_texts("policy and scenario", [header["policy"], header["scenario"]])
+        files = header["files"]
+        hashes = isinstance(files, dict) and all(isinstance(was, str) and was.isprintable() for was in files.values())
+        rule(hashes, "files", "hashes by name", type(files).__name__, "what the policy has read")
+        check_episodes(arrays, others=("times",))
+    except SettingError as problem:
+        raise Damaged(f"{path} is damaged: {one_line(problem)}") from problem
+
+
 def check_episodes(arrays: Mapping[str, np.ndarray], *, others: tuple[str, ...] = ()) -> None:
-    """Seeds, each once, histograms, and a number for each measure and seed; others: further (E,) int64 arrays."""
+    """Seeds, each once, histograms, and a number for each measure and seed; others: further (E,) int64 arrays.
+
+    Raises `SettingError`.
+    """
     check_keys("arrays", arrays, (*_NEEDED, *others), _OTHERS)
     check_array("seeds", arrays["seeds"], "i8", (-1,))
     seeds = arrays["seeds"]

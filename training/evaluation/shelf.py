@@ -11,7 +11,7 @@ import platform
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from urllib.parse import quote, unquote_to_bytes
 
 import numba
@@ -21,9 +21,10 @@ import fovconn_env
 from fovconn_env import Scenario
 from fovconn_env.baselines import find_policy
 from fovconn_env.errors import FovconnError, SettingError
-from fovconn_env.files import Archive, Damaged, Kind, printable, read_archive, write_archive
+from fovconn_env.files import Archive, Kind, printable, read_archive, write_archive
 from fovconn_env.scenarios.serialize import scenario_to_json
 from fovconn_env.text import file_name
+from fovconn_env.training.evaluation.episode_checks import check_file
 from fovconn_env.training.evaluation.flights import Evaluation, join, label
 from fovconn_env.training.evaluation.provenance import Files, changed, digest, merge, packages, sources, torn
 
@@ -85,14 +86,14 @@ class Shelf:
     def load(self, cell: Cell) -> tuple[Flown | None, list[str]]:
         """A cell's episodes, None if there are none; and the names of the files that have changed since.
 
-        Raises `OtherKind` and `Damaged` for a file that holds something else, and `OSError`.
+        Raises `OSError`, and `files.OtherKind` or `files.Damaged` for what no campaign leaves.
         """
         file = self._file(cell)
         if file is None or not file.is_file():
             return None, []
         try:
             header, arrays = read_archive(file, EVALUATION)
-            _check(file, header, arrays)
+            check_file(header, arrays, printable(str(file)))
         except FovconnError as problem:
             raise type(problem)(f"{problem}; delete it, and its episodes are flown again") from problem
         histograms, seeds, times = (arrays.pop(name) for name in ("histograms", "seeds", "times"))
@@ -116,16 +117,6 @@ class Shelf:
         if self.folder is None:
             return None
         return self.folder / f"{file_name(label(cell.policy))}@{file_name(cell.scenario.name)}-{fingerprint(cell)}.npz"
-
-
-def _check(file: Path, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
-    """Raise `Damaged` unless this is what `Shelf.save` writes: E of everything, and files with their hashes."""
-    files, seeds = header.get("files"), arrays.get("seeds", np.zeros(0))
-    whole = {"seeds", "times", "histograms"} <= arrays.keys() and isinstance(files, dict)
-    whole = whole and all(isinstance(was, str) for was in dict(files or {}).values())
-    whole = whole and all(arrays[name].dtype.kind in "iu" and arrays[name].ndim == 1 for name in ("seeds", "times"))
-    if not whole or any(array.shape[:1] != seeds.shape for array in arrays.values()):
-        raise Damaged(f"{printable(str(file))} is damaged: it does not hold what belongs to finished episodes")
 
 
 def fingerprint(cell: Cell) -> str:
