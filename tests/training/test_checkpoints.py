@@ -49,7 +49,7 @@ def target():
 
 def test_what_was_left_is_restored(contents):
     algorithm = dagger()
-    assert restore(algorithm, contents, "c.npz") == BEST
+    assert restore(algorithm, contents, {}, "c.npz") == BEST
     again = algorithm.pack()
     assert again.keys() == contents.arrays.keys()
     for name, array in contents.arrays.items():
@@ -124,7 +124,7 @@ HOSTILE = {
 def test_arrays_of_no_training_are_refused(case, contents, target):
     change, message = HOSTILE[case]
     with pytest.raises(Damaged, match=message) as problem:
-        restore(target, contents._replace(arrays=change(contents.arrays)), "c.npz")
+        restore(target, contents._replace(arrays=change(contents.arrays)), {}, "c.npz")
     assert str(problem.value).startswith("c.npz is damaged: ")
     assert str(problem.value).isprintable()
 
@@ -143,21 +143,21 @@ HEADERS = {
 def test_headers_of_no_training_are_refused(case, contents, target):
     changes, message = HEADERS[case]
     with pytest.raises(Damaged, match=message):
-        restore(target, contents._replace(header=contents.header | changes), "c.npz")
+        restore(target, contents._replace(header=contents.header | changes), {}, "c.npz")
 
 
 @pytest.mark.parametrize("network", [None, [], {}, {"kind": []}, "\x1b[2J"])
 def test_another_recipe_is_another_training(network, contents, target):
     recipe = json.loads(json.dumps(contents.header["recipe"])) | {"network": network}
     with pytest.raises(SettingError, match=r"network.* must be the checkpoint's") as problem:
-        restore(target, contents._replace(header=contents.header | {"recipe": recipe}), "c.npz")
+        restore(target, contents._replace(header=contents.header | {"recipe": recipe}), {}, "c.npz")
     assert str(problem.value).isprintable()
 
 
 def test_a_rollout_of_others_is_refused():
     algorithm = team()
     archive = Archive({"recipe": algorithm.recipe(), "best": {}}, algorithm.pack())
-    assert restore(team(), archive, "c.npz") == {}
+    assert restore(team(), archive, {}, "c.npz") == {}
     arrays = archive.arrays | {"starts": archive.arrays["starts"][1:]}
     with pytest.raises(Damaged, match="starts must be of the shape"):
-        restore(team(), archive._replace(arrays=arrays), "c.npz")
+        restore(team(), archive._replace(arrays=arrays), {}, "c.npz")
