@@ -187,7 +187,7 @@ def test_seeds_from_words():
         with pytest.raises(ValueError, match=r"seeds must be at most 2\*\*63 - 1, got"):
             parse_seeds(big)
     for many in ("0-1000000", "0-999999,1000000", "0-4000000000000000000"):
-        with pytest.raises(ValueError, match="seeds must be 1000000 at most, got"):
+        with pytest.raises(ValueError, match="seeds must be at most 1000000, got"):
             parse_seeds(many)
 
 
