@@ -77,7 +77,7 @@ def test_the_greatest_seed_is_the_last_worlds():
 
 
 WRONG = [True, np.True_, [True, 2, 3], 1.0, np.float64(3), np.array([1.0, 2.0, 3.0]), "7", b"abc", "abc", {1, 2, 3}, {}]
-WRONG += [object(), np.array("7"), -1, np.int8(-1), [1, 2], [1, -2, 3], [], np.zeros((3, 1), int), ctypes.c_int(3), 2j]
+WRONG += [..., np.array("7"), -1, np.int8(-1), [1, 2], [1, -2, 3], [], np.zeros((3, 1), int), ctypes.c_int(3), 2j]
 
 
 @pytest.mark.parametrize("seed", WRONG, ids=repr)
