@@ -242,7 +242,10 @@ BAD = {
     "too few": (("eval", "--set", "n_agents=1"), "Scenario.n_agents must be at least 2, got 1"),
     "no number": (("eval", "--set", "n_agents=six"), "Scenario.n_agents must be a whole number, got 'six'"),
     "word": (("eval", "--set", "dynamics=quad"), "did you mean 'quadrotor'"),
-    "group": (("eval", "--set", "camera=wide"), "Scenario.camera must be a Camera, got 'wide'"),
+    "group": (
+        ("eval", "--set", "camera=wide"),
+        "Scenario.camera must be a Camera or a mapping of its settings, got 'wide'",
+    ),
     "setting of a group": (
         ("eval", "--set", "camera.a_mim=0.2"),
         "Camera() got an unexpected keyword argument 'a_mim': did you mean 'a_min'",
@@ -250,7 +253,10 @@ BAD = {
     "unknown group": (("eval", "--set", "cammera.a_min=0.2"), "did you mean 'camera'"),
     "value in a group": (("eval", "--set", "camera.a_min=0.99"), "Camera.a_min must be below a_max (0.95), got 0.99"),
     "whole group": (("eval", "--set", "camera=wide", "--set", "camera.a_min=0.3"), "Scenario.camera must be a Camera"),
-    "start": (("eval", "--set", "start=here"), "Scenario.start must be a Start, got 'here'"),
+    "start": (
+        ("eval", "--set", "start=here"),
+        "Scenario.start must be a Start or a mapping of its settings, got 'here'",
+    ),
     "infinite": (("eval", "--set", "warmup=1e999"), "Scenario.warmup must be"),
     "folder": (("eval", "--out", "/dev/null"), "--out must name a folder, got '/dev/null': it is a file"),
     "seeds": (("eval", "--seeds", "9-3"), "seeds must be like 0-319, 7 or 0-31,100-131, got '9-3'"),
