@@ -18,7 +18,6 @@ from fovconn_env.training.bench.cases import (
     Case,
     Effort,
     Plan,
-    _on_one_thread,
     at_one_density,
     lap,
     plans,
@@ -48,7 +47,7 @@ from fovconn_env.training.bench.timing import (
 )
 
 TINY = scenario(n_agents=3, warmup=0.1, max_cycles=8)
-LEAST = Effort(repetitions=3, seconds=0.0, batches=(1, 2), rows=2, robots=48, learn_steps=4)
+LEAST = Effort(repetitions=3, seconds=0.0, batches=(1, 2), rows=2, robots=48, learn_steps=4, iteration=0.01)
 
 
 def timing(key, *rates, agents=6):
@@ -124,7 +123,7 @@ def test_every_bar_names_cases_that_exist():
     keys = {plan.key for plan in plans(scenario(), FULL, list(PEERS))}
     found = bars(FULL.main, max(FULL.batches), FULL.rows)
     assert {key for bar in found for key in (bar.over, *bar.under)} <= keys
-    assert {bar.bar for bar in found} >= {4.0, 6.0, 15.0, 0.7, 50_000.0, 0.25, 3.0, 5.0, 150.0}
+    assert {bar.bar for bar in found} >= {4.5, 14.0, 15.0, 0.7, 50_000.0, 0.25, 3.0, 5.0, 150.0}
 
 
 def test_the_memory_bar():
@@ -137,14 +136,14 @@ def test_the_memory_bar():
 def test_every_case_runs(report):
     timed = {case["key"]: case for case in report["cases"]}
     sb3 = importlib.util.find_spec("stable_baselines3") is not None
-    expected = {plan.key for plan in plans(TINY, LEAST, []) if sb3 or plan.group not in ("sb3", "ppo")}
+    expected = {plan.key for plan in plans(TINY, LEAST, []) if sb3 or plan.group not in ("sb3", "ppo", "train")}
     assert set(timed) == expected
     for case in timed.values():
         assert len(case["rates"]) == LEAST.repetitions
         assert 0 < case["least"] <= case["median"] <= case["most"] < np.inf
         assert case["agent_median"] == case["median"] * case["agents"]
     assert [timed[f"kinematic N={n}"]["agents"] for n in SIZES] == list(SIZES)
-    assert len(report["missing"]) == (0 if sb3 else 2)
+    assert len(report["missing"]) == (0 if sb3 else 3)
     assert report["memory"]["worlds"] == 2
 
 
@@ -204,8 +203,8 @@ def test_without_stable_baselines(monkeypatch):
     real = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "stable_baselines3" else real(name))
     found = agenda(TINY, LEAST)
-    assert {"sb3", "ppo"}.isdisjoint(plan.group for plan in found.plans)
-    assert [line.split(":")[0] for line in found.missing] == ["sb3", "ppo"]
+    assert {"sb3", "ppo", "train"}.isdisjoint(plan.group for plan in found.plans)
+    assert [line.split(":")[0] for line in found.missing] == ["sb3", "ppo", "train"]
 
 
 # --------------------------------------------------------------------------------------------------------------- memory
@@ -237,18 +236,13 @@ def test_a_busy_machine_is_told():
     found = [record(Result(Agenda(TINY, LEAST, [], False, []), [t], None)) for t in (calm, busy)]
     assert restless(found[0]) == ""
     assert "1.6 times" in restless(found[1])
+    assert "2.5 processors busy" in restless(record(Result(Agenda(TINY, LEAST, [], False, []), [calm], None), 2.5))
 
 
-def test_one_thread():
-    torch = pytest.importorskip("torch")
-    torch.set_num_threads(2)
-    seen = []
-    plan = Plan(
-        "peers", "vmas 64", "VMAS", lambda: Case(6, 1, lambda: (seen.append(torch.get_num_threads()) or 1.0, 0))
-    )
-    one = _on_one_thread(plan)
-    assert (one.key, one.make().call()) == ("vmas-one 64", (1.0, 0))
-    assert (seen, torch.get_num_threads()) == ([1], 2)
+def test_a_busy_machine_is_told_beside_another_tree():
+    calm, busy = ({"machine": {}, "ratios": [{"least": 1.0, "most": most}]} for most in (1.05, 1.2))
+    assert restless(calm) == ""
+    assert "in half of the ratios the most is 1.2 times the least" in restless(busy)
 
 
 def test_the_machine_is_told_without_its_name():

@@ -25,6 +25,9 @@ from fovconn_env.baselines.learned.policy import from_file, silu
 from fovconn_env.errors import SettingError
 from fovconn_env.flights.state_hash import frozen_dtypes, state_hash
 from fovconn_env.kernel.jit import entry
+from fovconn_env.training.bench.cases import Case, Effort, Plan, _on_one_thread
+from fovconn_env.training.bench.paired import compare_speed
+from fovconn_env.training.bench.trees import HERE
 from fovconn_env.training.evaluation import evaluate, summary
 from fovconn_env.training.evaluation.folders import LOCK, claimed
 from fovconn_env.training.evaluation.interruption import Interrupted
@@ -613,3 +616,27 @@ def test_the_quickstart_runs(tmp_path, monkeypatch):
         exec(compile(short, f"cell {k}", "exec"), namespace)
     assert namespace["best"]["steps"] >= 70_000
     assert namespace["model"].num_timesteps > 0
+
+
+# -------------------------------------------------------------------------------------------------------------- bench
+def test_one_thread():
+    """A case that must not share the processors with itself; the usual number is back after it."""
+    usual, seen = torch.get_num_threads(), []
+    plan = Plan(
+        "peers", "vmas 64", "VMAS", lambda: Case(6, 1, lambda: (seen.append(torch.get_num_threads()) or 1.0, 0))
+    )
+    torch.set_num_threads(2)
+    try:
+        one = _on_one_thread(plan)
+        assert (one.key, one.make().call()) == ("vmas-one 64", (1.0, 0))
+        assert (seen, torch.get_num_threads()) == ([1], 2)
+    finally:
+        torch.set_num_threads(usual)
+
+
+def test_training_is_compared():
+    brief = Effort(repetitions=1, seconds=0.0, batches=(2,), rows=2, robots=6, learn_steps=4, iteration=0.01)
+    tiny = {"n_agents": 3, "warmup": 0.1, "max_cycles": 8}
+    found = compare_speed(HERE, "LeaderFollow-v0", tiny, brief, ["train"])
+    assert [ratio.key for ratio in found] == ["ppo set", "ppo mlp", "dagger set"]
+    assert all(ratio.each[0] > 0.0 for ratio in found)

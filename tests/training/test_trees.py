@@ -1,14 +1,21 @@
 """Two trees side by side: equal flights, and speed in turns. This tree stands for both; no test says how fast it is."""
 
 import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
 
 import pytest
 
+import fovconn_env
+from fovconn_env import scenario
 from fovconn_env.training.bench import trees
-from fovconn_env.training.bench.cases import Effort
-from fovconn_env.training.bench.paired import LEAST, compare_speed, record
+from fovconn_env.training.bench.cases import FULL, Effort, plans
+from fovconn_env.training.bench.paired import GOALS, LAPS, LEAST, Ratio, compare_speed, record
 from fovconn_env.training.bench.report import bar_table
 from fovconn_env.training.bench.trees import HERE, Cell, Difference, compare, run_in, running
+from fovconn_env.training.bench.waits import COMMAND, FIRST_STEP, KEYS, Wait, compare_waits, waits
 
 TINY = {"n_agents": 3, "warmup": 0.1, "max_cycles": 8}
 BRIEF = Effort(repetitions=3, seconds=0.0, batches=(2,), rows=2, robots=6, learn_steps=4)
@@ -58,9 +65,95 @@ def test_speed_is_a_ratio_for_each_repetition():
     assert [ratio.key for ratio in found] == ["parallel flat", "parallel", "vector 2"]
     assert all(len(ratio.each) == 3 and min(ratio.each) > 0 for ratio in found)
     assert [done for _, done, _ in told[1:]] == list(range(9))
-    report = record(found, "LeaderFollow-v0", TINY, BRIEF)
+    report = record(found, "LeaderFollow-v0", TINY, BRIEF, HERE, None)
     assert json.loads(json.dumps(report))["settings"] == TINY
+    assert report["versions"]["baseline"] == fovconn_env.__version__
     assert {row[3] for row in bar_table(report)[1]} == {f"≥ {LEAST}"}
+
+
+def tree(folder, version, **files):
+    """A checkout that is none but for its version and some more files."""
+    for name, text in {"fovconn_env/version.py": f"__version__ = {version!r}\n", **files}.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+    return folder
+
+
+def test_beside_the_first_version_other_bars_hold(tmp_path):
+    ratios = [Ratio("parallel", "a", [1.2, 1.4, 1.3]), Ratio("cold cpu", "b", [0.5, 0.6, 0.59], at_most=True)]
+    found = [
+        record(ratios, "LeaderFollow-v0", {}, BRIEF, tree(tmp_path / name, name), None)["ratios"]
+        for name in ("0.1.0", "0.2.0")
+    ]
+    assert [[(entry["bar"], entry["holds"]) for entry in entries] for entries in found] == [
+        [(1.3, True), (0.58, False)],
+        [(LEAST, True), (1.0 / LEAST, True)],
+    ]
+
+
+def test_every_goal_names_a_case():
+    keys = {plan.key for plan in plans(scenario(), FULL, []) if plan.group in LAPS}
+    assert set(GOALS) <= keys | set(KEYS) | {f"{key} cpu" for key in KEYS}
+    assert [wait.key for wait in waits("LeaderFollow-v0")] == list(KEYS)
+
+
+# ------------------------------------------------------------------------------------------------------ whole commands
+NOTE = "import os, pathlib; pathlib.Path(os.environ['NOTES']).open('a').write({} + '\\n')"
+
+
+def noting(expression):
+    """A program that adds the value of an expression to the file `NOTES`."""
+    return [sys.executable, "-c", NOTE.format(expression)]
+
+
+def test_commands_take_turns(tmp_path, monkeypatch):
+    """Each in its own tree, what is warm once more before; nothing compiled is there, or what the tree kept."""
+    notes, kept = tmp_path / "notes", "os.environ['NUMBA_CACHE_DIR']"
+    monkeypatch.setenv("NOTES", str(notes))
+    both = [tree(tmp_path / name, "1") for name in ("ours", "theirs")]
+    cold = Wait("cold", "cold", noting(f"os.environ['PYTHONPATH'] + ' ' + {kept}"))
+    warm = Wait("eval", "warm", noting(f"os.environ['PYTHONPATH'] + ' ' + {kept}"), warm=True)
+    told = []
+    found = list(compare_waits(both, [cold, warm], 2, lambda name, done, total: told.append((done, total))))
+    assert [wait.key for wait, _ in found] == ["cold", "eval"]
+    assert all(len(rounds) == 2 and all(spent.wall > 0 for pair in rounds for spent in pair) for _, rounds in found)
+    places, folders = zip(*(line.split() for line in notes.read_text().splitlines()), strict=True)
+    assert [Path(place).name for place in places] == [
+        *("ours", "theirs", "theirs", "ours"),
+        *("theirs", "ours", "ours", "theirs", "theirs", "ours"),
+    ]
+    assert told == [(k, 10) for k in range(10)]
+    assert (len(set(folders[:4])), len(set(folders[4:]))) == (4, 2)
+    assert not any(Path(folder).exists() for folder in folders)
+
+
+def test_a_clone_holds_what_is_committed(tmp_path, monkeypatch):
+    monkeypatch.setenv("NOTES", str(tmp_path / "notes"))
+    there = tree(tmp_path / "tree", "1")
+    git = ["git", "-c", "user.name=a", "-c", "user.email=b", "-C", there]
+    for words in (["init", "--quiet"], ["add", "."], ["commit", "--quiet", "--message", "all"]):
+        subprocess.run([*git, *words], check=True)
+    (there / "new").touch()
+    wait = Wait("suite", "suite", noting("' '.join(sorted(os.listdir()))"), clone=True)
+    list(compare_waits([there], [wait], 1))
+    assert (tmp_path / "notes").read_text() == ".git fovconn_env\n"
+
+
+def test_a_command_that_fails_says_so():
+    broken = Wait("cold", "cold", [sys.executable, "-c", "print('so it was'); 1 / 0"])
+    with pytest.raises(RuntimeError, match=r"(?s)-c \.\.\. failed:.*so it was.*ZeroDivisionError"):
+        list(compare_waits([HERE], [broken], 1))
+
+
+def test_the_programs_run_in_this_tree(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["-c", "LeaderFollow-v0"])
+    after: dict[str, Any] = {}
+    exec(FIRST_STEP, after)
+    assert after["env"].simulator.rewards.any()
+    monkeypatch.setattr(sys, "argv", ["-c", "--version"])
+    with pytest.raises(SystemExit):
+        exec(COMMAND, {"__name__": "__main__"})
+    assert fovconn_env.__version__ in capsys.readouterr().out
 
 
 def test_the_command(fovconn):
@@ -77,7 +170,8 @@ def test_the_command(fovconn):
     [
         (["--plot", "a.png"], "--baseline must stand without --against and --plot"),
         (["--against", "mpe2"], "--baseline must stand without --against and --plot"),
-        (["--only", "sb3"], "--only must name some of parallel, vector, expert, dynamics, reset, density, got 'sb3'"),
+        (["--only", "sb3"], "dynamics, reset, density, train, cold, demo, eval, suite, got 'sb3'"),
+        (["--only", "cold", "--set", "n_agents=3"], "--set must stand without --only cold"),
         (["--set", "nagents=3"], "did you mean 'n_agents'"),
     ],
 )

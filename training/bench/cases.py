@@ -39,7 +39,8 @@ class Effort(NamedTuple):
     batches: tuple[int, ...] = (1, 64, 1024, 4096)
     rows: int = 64  # worlds of the SB3 cases, of PPO and of the reset
     robots: int = 1536  # in all worlds of a team size together
-    learn_steps: int = 64  # of PPO, between two updates
+    learn_steps: int = 64  # of SB3's PPO, between two updates
+    iteration: float = 1.0  # of our trainers: a part of the steps between two updates
 
     @property
     def main(self) -> int:
@@ -48,7 +49,7 @@ class Effort(NamedTuple):
 
 
 FULL = Effort()
-QUICK = Effort(repetitions=2, seconds=0.05, batches=(1, 16), rows=8, robots=48, learn_steps=4)
+QUICK = Effort(repetitions=2, seconds=0.05, batches=(1, 16), rows=8, robots=48, learn_steps=4, iteration=0.02)
 
 
 class Case(NamedTuple):
@@ -105,6 +106,9 @@ def plans(chosen: Scenario, effort: Effort, peers: list[str]) -> list[Plan]:
     cases.append(Plan("reset", "reset", f"reset, B = {rows}", partial(_reset, chosen, rows)))
     ppo = Plan("ppo", "ppo", f"PPO, B = {rows}", partial(_ppo, chosen, rows, effort.learn_steps))
     cases += [ppo, _on_one_thread(ppo)]
+    for key, name in (("ppo set", "PPO, set network"), ("ppo mlp", "PPO, mlp"), ("dagger set", "DAgger, set network")):
+        train = partial(_train, chosen, *key.split(), rows, effort.iteration)
+        cases.append(Plan("train", key, f"{name}, B = {rows}", partial(_single, train)))
     for dynamics, size in itertools.product(("kinematic", "quadrotor"), SIZES):
         team, b = at_one_density(chosen, size, dynamics), max(effort.robots // size, 1)
         key, name = f"{dynamics} N={size}", f"N = {size} {dynamics}, B = {b}"
@@ -114,24 +118,26 @@ def plans(chosen: Scenario, effort: Effort, peers: list[str]) -> list[Plan]:
 
 def _on_one_thread(plan: Plan) -> Plan:
     """The same case with one torch thread; the key "vmas 64" becomes "vmas-one 64"."""
-
-    def make() -> Case:
-        import torch
-
-        case = plan.make()
-
-        def call() -> tuple[float, int]:
-            usual = torch.get_num_threads()
-            torch.set_num_threads(1)
-            try:
-                return case.call()
-            finally:
-                torch.set_num_threads(usual)
-
-        return case._replace(call=call)
-
     name, blank, size = plan.key.partition(" ")
-    return plan._replace(key=f"{name}-one{blank}{size}", name=f"{plan.name}, 1 thread", make=make)
+    key, title = f"{name}-one{blank}{size}", f"{plan.name}, 1 thread"
+    return plan._replace(key=key, name=title, make=partial(_single, plan.make))
+
+
+def _single(make: Callable[[], Case]) -> Case:
+    """The case that `make` makes, with one torch thread in its calls."""
+    import torch
+
+    case = make()
+
+    def call() -> tuple[float, int]:
+        usual = torch.get_num_threads()
+        torch.set_num_threads(1)
+        try:
+            return case.call()
+        finally:
+            torch.set_num_threads(usual)
+
+    return case._replace(call=call)
 
 
 def _peer_plan(name: str, n_agents: int, n_worlds: int) -> Plan:
@@ -282,6 +288,25 @@ def _ppo(chosen: Scenario, n_worlds: int, n_steps: int) -> Case:
         ended, began = env.episode_count, time.perf_counter()
         model.learn(rows * n_steps, reset_num_timesteps=False)
         return time.perf_counter() - began, (env.episode_count - ended) // chosen.n_agents
+
+    return Case(chosen.n_agents, n_worlds * n_steps, call)
+
+
+def _train(chosen: Scenario, algorithm: str, network: Any, n_worlds: int, part: float) -> Case:
+    """Iterations of `fovconn train` with its own settings, or with `part` of the steps; ends are not counted."""
+    from fovconn_env.training.learn.dagger import Dagger, DaggerSettings
+    from fovconn_env.training.learn.model import Network
+    from fovconn_env.training.learn.ppo import PPOSettings, Team
+
+    kind, settings = {"ppo": (Team, PPOSettings), "dagger": (Dagger, DaggerSettings)}[algorithm]
+    n_steps = math.ceil(settings().n_steps * part)
+    sizes = settings(n_worlds=n_worlds, n_steps=n_steps)
+    trainer: Any = kind([chosen], seed=0, settings=sizes, network=Network(kind=network))
+
+    def call() -> tuple[float, int]:
+        began = time.perf_counter()
+        trainer.iterate(0.5)
+        return time.perf_counter() - began, 0
 
     return Case(chosen.n_agents, n_worlds * n_steps, call)
 

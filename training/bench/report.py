@@ -20,6 +20,8 @@ PACKAGES = (
 ).split()
 GIB = 2.0**30
 RESTLESS = 1.5  # most / least over the repetitions of the median case; quiet machines stay below 1.2
+RESTLESS_PAIR = 1.1  # of a ratio of two trees: they take turns
+BUSY = 0.5  # processors
 Table = tuple[list[str], list[list[str]]]  # head, rows
 
 
@@ -39,8 +41,8 @@ def bars(main: int, largest: int, rows: int) -> list[Bar]:
     vmas = tuple(dict.fromkeys(f"{name} {b}" for name in ("vmas", "vmas-one") for b in (main, largest)))
     costs = ((f"kinematic N={n}", n, bar) for n, bar in ((24, 3.0), (48, 5.0)))
     return [
-        Bar(f"vector, B = {main} / VMAS at its best", vector, vmas, 4.0),
-        Bar("parallel_env / mpe2", "parallel", ("mpe2",), 6.0),
+        Bar(f"vector, B = {main} / VMAS at its best", vector, vmas, 4.5),
+        Bar("parallel_env / mpe2", "parallel", ("mpe2",), 14.0),
         Bar("parallel_env / gym-pybullet-drones", "parallel", ("gym-pybullet-drones",), 15.0),
         *(Bar(f"SB3 rows / Simulator.step, B = {b}", f"sb3 {b}", (f"core {b}",), 0.7) for b in sorted({rows, main})),
         Bar("PPO, robot steps/s", "ppo", (), 50_000.0),
@@ -51,8 +53,8 @@ def bars(main: int, largest: int, rows: int) -> list[Bar]:
     ]
 
 
-def record(result: Result) -> dict[str, Any]:
-    """The record of a run, in JSON types."""
+def record(result: Result, load: float | None = None) -> dict[str, Any]:
+    """The record of a run, in JSON types; load: `load()` of before it."""
     from fovconn_env.scenarios.serialize import scenario_to_json
 
     todo, memory = result.agenda, result.memory
@@ -61,7 +63,7 @@ def record(result: Result) -> dict[str, Any]:
     torch = sys.modules.get("torch")
     return {
         "finished": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-        "machine": machine() | ({"torch_threads": torch.get_num_threads()} if torch else {}),
+        "machine": machine() | {"load": load} | ({"torch_threads": torch.get_num_threads()} if torch else {}),
         "versions": versions(),
         "scenario": todo.scenario.name,
         "settings": scenario_to_json(todo.scenario),
@@ -161,13 +163,24 @@ def bar_table(report: dict[str, Any]) -> Table:
 
 
 def restless(report: dict[str, Any]) -> str:
-    """A sentence if the machine was busy: if most / least is RESTLESS or more in half of the cases; else ""."""
-    spread = [case["most"] / case["least"] for case in report["cases"]]
-    if not spread or statistics.median(spread) < RESTLESS:
+    """A sentence if the machine was busy; else "".
+
+    It was if other programs ran in the minute before, or if most / least over the repetitions is RESTLESS or more in
+    half of the cases, RESTLESS_PAIR in half of the ratios of two trees.
+    """
+    load = report["machine"].get("load") or 0.0
+    if load >= BUSY:
+        return f"The machine was not quiet: other programs kept {load:.1f} processors busy in the minute before."
+    what, limit = ("cases", RESTLESS) if "cases" in report else ("ratios", RESTLESS_PAIR)
+    spread = statistics.median([entry["most"] / entry["least"] for entry in report[what]] or [1.0])
+    if spread < limit:
         return ""
-    return (
-        f"The machine was not quiet: in half of the cases the most is {statistics.median(spread):.1f} times the least."
-    )
+    return f"The machine was not quiet: in half of the {what} the most is {spread:.2g} times the least."
+
+
+def load() -> float | None:
+    """Processors that were busy in the last minute; None if the system does not tell."""
+    return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
 
 
 def machine_line(report: dict[str, Any]) -> str:

@@ -20,7 +20,7 @@ from fovconn_env.envs.vector import VectorEnv
 from fovconn_env.errors import SettingError
 from fovconn_env.training.bench.cases import PEERS, Case, Effort, Plan, lap, plans
 
-GROUPS = ("parallel", "vector", "expert", "sb3", "ppo", "dynamics", "reset", "render", "density", "memory")
+GROUPS = ("parallel", "vector", "expert", "sb3", "ppo", "train", "dynamics", "reset", "render", "density", "memory")
 _STATUS = Path("/proc/self/status")  # on Linux
 INSTALLED = ("installed", "all")  # in the place of a peer's name
 Progress = Callable[[str, int, int], None]  # what comes next, calls done, calls in all
@@ -74,7 +74,7 @@ def agenda(chosen: Scenario, effort: Effort, only: Sequence[str] = (), against: 
     """
     groups, (peers, missing) = check_groups(only), check_peers(against)
     if importlib.util.find_spec("stable_baselines3") is None:
-        lost = [group for group in groups if group in ("sb3", "ppo")]
+        lost = [group for group in groups if group in ("sb3", "ppo", "train")]
         groups = [group for group in groups if group not in lost]
         missing += [f"{group}: needs stable-baselines3, pip install 'fovconn-env[learn]'" for group in lost]
     if "render" in groups and importlib.util.find_spec("pygame") is None:
