@@ -24,13 +24,19 @@ from numba.core import config, event
 from numba.core.registry import CPUDispatcher
 
 from fovconn_env.kernel.cache import DiskCache
+from fovconn_env.kernel.compiler import PartCompiler
 
 P = ParamSpec("P")
 R = TypeVar("R")
 # No array is made by a kernel, so references need not be counted; counting them takes a twelfth of a step.
 _OPTIONS: dict[str, Any] = {"fastmath": False, "_nrt": False}
 # Of what only compiled code calls: wrappers for calls from Python and C would be compiled for nothing.
-_INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, **_OPTIONS}
+_INNER: dict[str, Any] = {
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+    "pipeline_class": PartCompiler,
+    **_OPTIONS,
+}
 _PACKAGE = Path(__file__).parents[1]
 if not _PACKAGE.is_dir():  # in a zip file, where neither the sources nor the weights can be read
     raise ImportError(

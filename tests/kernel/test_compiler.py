@@ -1,0 +1,86 @@
+"""What only compiled code calls is compiled as a part of its caller; where numba cannot, in numba's own way."""
+
+import logging
+import math
+
+import numba
+import numpy as np
+import pytest
+
+from fovconn_env.kernel import compiler
+from fovconn_env.kernel.jit import formula, kernel, stage
+from tests.helpers import JIT
+
+pytestmark = pytest.mark.skipif(not JIT, reason="nothing is compiled")
+VALUES = np.array([3.0, 4.0])
+
+
+def chain():
+    """A function for Python that calls others, directly and through each other; the functions that it calls."""
+
+    @kernel
+    def norm(x, y):
+        return math.sqrt(x * x + y * y)
+
+    @kernel
+    def total(values):
+        result = 0.0
+        for k in range(len(values)):
+            result += norm(values[k], 1.0)
+        return result
+
+    @stage
+    def scale(values, factor):
+        factor /= total(values)
+        for k in range(len(values)):
+            values[k] *= factor
+
+    @formula
+    def run(values):
+        scale(values, 2.0)
+        return norm(values[0], values[1]) + total(values)
+
+    return run, (norm, total, scale)
+
+
+def plain(values):
+    scaled = values * 2.0 / np.hypot(values, 1.0).sum()
+    return np.hypot(*scaled) + np.hypot(scaled, 1.0).sum()
+
+
+def libraries(functions):
+    return [overload.library for function in functions for overload in function.overloads.values()]
+
+
+def test_parts_have_no_machine_code_of_their_own():
+    run, called = chain()
+    assert run(VALUES.copy()) == pytest.approx(plain(VALUES), rel=1e-14)
+    assert len(libraries(called)) == 3
+    assert all(isinstance(library, compiler._Part) for library in libraries(called))
+    assert not any(isinstance(library, compiler._Part) for library in libraries([run]))
+
+
+def test_numbas_own_way_gives_the_same_bits(monkeypatch):
+    expected = chain()[0](VALUES.copy())
+    monkeypatch.setattr(compiler, "is_supported", lambda: False)
+    run, called = chain()
+    assert run(VALUES.copy()) == expected
+    assert not any(isinstance(library, compiler._Part) for library in libraries(called))
+
+
+def test_a_function_of_others_may_call_parts():
+    _, (norm, total, _) = chain()
+    value = numba.njit(lambda values: total(values) + norm(3.0, 4.0))(VALUES)
+    assert value == pytest.approx(np.hypot(VALUES, 1.0).sum() + 5.0, rel=1e-14)
+
+
+def test_the_versions_tested_are_supported():
+    assert compiler.is_supported()
+
+
+@pytest.mark.parametrize("name", ["NativeLowering", "_Part"])
+def test_other_internals_are_noticed(name, monkeypatch, caplog):
+    monkeypatch.setattr(compiler, name, object)
+    with caplog.at_level(logging.DEBUG, "fovconn_env"):
+        assert not compiler.is_supported.__wrapped__()
+    assert "numba's own way" in caplog.text
