@@ -26,6 +26,7 @@ from fovconn_env.sim.seeds import Seed, world_seeds
 from fovconn_env.sim.simulator import Simulator
 
 PARTS = ("self", "neighbors", "ranges")
+ACTION_SHAPE = (len(layout.ACTION),)
 INFO_KEYS = tuple(column.name for column in layout.INFO)
 Observation = TypeVar("Observation")
 Parts = dict[str, np.ndarray]
@@ -91,10 +92,13 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
         self.np_random = np.random.default_rng()  # for wrappers that draw; the worlds have generators of their own
         self.flat = flat
         self.simulator = Simulator(self.scenario)
+        first = len(layout.SELF)
+        second = first + self.scenario.max_neighbors * len(layout.NEIGHBOR)
+        self._cuts = slice(0, first), slice(first, second), slice(second, None)  # of a flat observation, in PARTS
         self.possible_agents = self.scenario.agents
         self.agents: list[str] = []
         self.observation_spaces = {agent: self._observation_space() for agent in self.possible_agents}
-        self.action_spaces = {agent: spaces.Box(-1.0, 1.0, (len(layout.ACTION),)) for agent in self.possible_agents}
+        self.action_spaces = {agent: spaces.Box(-1.0, 1.0, ACTION_SHAPE) for agent in self.possible_agents}
         low, high = self.simulator.privileged_bounds()
         self.state_space = spaces.Box(low, high)
 
@@ -146,15 +150,15 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
             if isinstance(actions, Mapping) and not actions and self.simulator.state.episode["n_rounds"][0]:
                 return {}, {}, {}, {}, {}
             raise gymnasium.error.ResetNeeded("step() needs an episode under way: call reset() first")
-        self.simulator.step(self._stack_actions(actions)[None])
-        agents, episode = self.agents, self.simulator.state.episode[0]
-        rewards = dict(zip(agents, self.simulator.rewards[0].tolist(), strict=True))
-        terminations = dict.fromkeys(agents, bool(episode["terminated"]))
-        truncations = dict.fromkeys(agents, bool(episode["truncated"]))
+        self.simulator.advance(self._stack_actions(actions)[None])
+        agents, simulator = self.agents, self.simulator
+        rewards = dict(zip(agents, simulator.rewards[0].tolist(), strict=True))
+        terminations = dict.fromkeys(agents, bool(simulator.terminated[0]))
+        truncations = dict.fromkeys(agents, bool(simulator.truncated[0]))
         observations, infos = self._observations(), self._infos()
-        if episode["over"]:
+        if simulator.over[0]:
             self.agents = []
-        self._viewer.show(self.simulator)
+        self._viewer.show(simulator)
         return observations, rewards, terminations, truncations, infos
 
     def push(self, stick: npt.ArrayLike) -> None:
@@ -201,6 +205,8 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
         if not isinstance(actions, Mapping):
             kind = type(actions).__name__
             raise SettingError(f"actions must be a dict by agent, got {kind}: {{'uav_0': [vx, vy, vz, yaw_rate], ...}}")
+        if (quick := self._stack_arrays(actions)) is not None:
+            return quick
         rows = np.empty((len(self.agents), len(layout.ACTION)))
         for row, agent in zip(rows, self.agents, strict=True):
             if agent not in actions:
@@ -219,29 +225,39 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
             raise SettingError(f"action of {agent} must be finite, got {actions[agent]!r}: did the policy diverge?")
         return rows
 
+    def _stack_arrays(self, actions: Mapping[str, npt.ArrayLike]) -> np.ndarray | None:
+        """As `_stack_actions`, of arrays (4,) of finite floats alone, in half the time; None for all else."""
+        agents, rows = self.agents, []
+        if len(actions) != len(agents):
+            return None
+        for agent in agents:
+            row = actions.get(agent)
+            if type(row) is not np.ndarray or row.shape != ACTION_SHAPE or row.dtype.kind != "f":
+                return None
+            rows.append(row)
+        stacked = np.concatenate(rows, dtype=np.float64)
+        return stacked.reshape(len(agents), -1) if np.isfinite(stacked).all() else None
+
     def _observations(self) -> dict[str, Any]:
         flat = self.simulator.observations[0].copy()
         if self.flat:
             return dict(zip(self.agents, flat, strict=True))
-        first = len(layout.SELF)
-        second = first + self.scenario.max_neighbors * len(layout.NEIGHBOR)
+        own, neighbors, ranges = self._cuts
         return {
-            agent: {"self": row[:first], "neighbors": row[first:second], "ranges": row[second:]}
+            agent: {"self": row[own], "neighbors": row[neighbors], "ranges": row[ranges]}
             for agent, row in zip(self.agents, flat, strict=True)
         }
 
     def _infos(self) -> dict[str, dict[str, float]]:
-        rows = self.simulator.infos[0].tolist()
-        return {agent: dict(zip(INFO_KEYS, row, strict=True)) for agent, row in zip(self.agents, rows, strict=True)}
+        # as plain numbers, which numpy turns into lists in a third of the time that records take
+        rows = self.simulator.infos[0].view(np.float64).reshape(-1, len(INFO_KEYS)).tolist()
+        return {agent: dict(zip(INFO_KEYS, row, strict=False)) for agent, row in zip(self.agents, rows, strict=True)}
 
     def _observation_space(self) -> spaces.Space:
         low, high = self.simulator.world.low, self.simulator.world.high
         if self.flat:
             return spaces.Box(low, high)
-        first = len(layout.SELF)
-        second = first + self.scenario.max_neighbors * len(layout.NEIGHBOR)
-        slices = (slice(0, first), slice(first, second), slice(second, None))
-        boxes = (spaces.Box(low[cut], high[cut]) for cut in slices)
+        boxes = (spaces.Box(low[cut], high[cut]) for cut in self._cuts)
         return spaces.Dict(OrderedDict(zip(PARTS, boxes, strict=True)))  # a plain dict would be sorted
 
 

@@ -81,6 +81,7 @@ class Simulator:
         self.generators: list[np.random.Generator | None] = [None] * n_worlds  # from a world's first reset on
         self.seeds: list[int | None] = [None] * n_worlds  # of the worlds' starts; None without a seed
         self.n_threads = min(n_threads or available_cores(), max(n_worlds // WORLDS_PER_SLICE, 1))
+        self._scratch = scratch(scenario.n_agents)  # of this thread
         self.closed = False
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
         warm = scenario.warmup if scenario.lambda2 in ("power", "flooding") else 0.0
@@ -232,6 +233,11 @@ class Simulator:
             raise SettingError(
                 f"action of uav_{i} of world {b} must be finite, got {actions[b, i].tolist()}: did the policy diverge?"
             )
+        return self.advance(actions, into=into)
+
+    def advance(self, actions: np.ndarray, *, into: np.ndarray | None = None) -> np.ndarray:
+        """As `step`, for an adapter that has checked its actions, (B, N, 4) finite float64, itself."""
+        self._check_open()
         self._run_worlds(actions, NO_MASK, 0, into)
         return self.observations
 
@@ -384,7 +390,13 @@ class Simulator:
         self, actions: np.ndarray, mask: np.ndarray, warm_ticks: int, into: np.ndarray | None = None
     ) -> None:
         """Call `step.run` for all worlds; in large batches threads take slices of worlds in turn."""
-        n_slices = 1 if self.n_threads == 1 else min(4 * self.n_threads, self.n_worlds // WORLDS_PER_SLICE)
+        if self.n_threads == 1:
+            worlds = 0, self.n_worlds
+            step.run(self.state, self.world, self._scratch, self.params, actions, mask, warm_ticks, worlds)
+            if into is not None:
+                into[:] = self.state.flat
+            return
+        n_slices = min(4 * self.n_threads, self.n_worlds // WORLDS_PER_SLICE)
         edges = [self.n_worlds * k // n_slices for k in range(n_slices + 1)]
         slices = iter(list(itertools.pairwise(edges)))  # next() is atomic
 
@@ -395,9 +407,9 @@ class Simulator:
                 if into is not None:
                     into[slice(*worlds)] = self.state.flat[slice(*worlds)]
 
-        if self.n_threads > 1 and (self._pool is None or self._pool[0] != os.getpid()):
+        if self._pool is None or self._pool[0] != os.getpid():
             self._pool = os.getpid(), ThreadPoolExecutor(self.n_threads - 1)  # threads do not survive a fork
-        futures = [self._pool[1].submit(work) for _ in range(self.n_threads - 1)] if self._pool else []
+        futures = [self._pool[1].submit(work) for _ in range(self.n_threads - 1)]
         work()
         for future in futures:
             future.result()

@@ -657,12 +657,13 @@ def test_wrong_actions_name_the_agent_and_change_nothing(wrong):
     assert repr(fly(env, recorded_actions(20, 4, size=0.3))) == repr(fly(twin, recorded_actions(20, 4, size=0.3)))
 
 
-def test_out_of_range_is_clipped():
+@pytest.mark.parametrize("size", [40.0, 1e200])  # the square of the second is not finite
+def test_out_of_range_is_clipped(size):
     env, twin = parallel_env(**SHORT), parallel_env(**SHORT)
-    for one, size in ((env, 1.0), (twin, 40.0)):
+    for one, factor in ((env, 1.0), (twin, size)):
         one.reset(seed=1)
         signs = np.sign(recorded_actions(10, 4))
-        fly(one, size * signs)
+        fly(one, factor * signs)
     assert differing(snapshot(env.simulator, 0), snapshot(twin.simulator, 0)) == []
 
 
