@@ -15,6 +15,7 @@ from fovconn_env.kernel.onboard import power_iteration, relative_yaw, robot
 from fovconn_env.kernel.onboard.messages import Message, Outbox, Round
 from fovconn_env.kernel.onboard.power_iteration import set_estimate
 from fovconn_env.kernel.onboard.robot import Robot
+from fovconn_env.kernel.prefetch import prefetch
 from fovconn_env.kernel.world.camera import broad_phase, build_contacts, measure_relative_position, update_pairs
 from fovconn_env.kernel.world.faults import apply_faults, clear_faults, mask_pairs
 from fovconn_env.kernel.world.kinematics import cache_half_turn, reset_kinematic, set_command, step_kinematic
@@ -49,6 +50,8 @@ def run(state, world, scratch, params, actions, mask, warm_ticks, worlds):
         episode, bodies, infos = state.episode[b], state.body[b], state.info[b]
         if episode.over if moves else not mask[b]:
             continue
+        following = min(b + 1, worlds[1] - 1)
+        prefetch_robots(state, following)
         stick = episode.stick_x, episode.stick_y, episode.stick_z  # of this step
         if moves:
             set_commands(bodies, actions[b], episode, p)  # command <- action, stick
@@ -75,6 +78,7 @@ def run(state, world, scratch, params, actions, mask, warm_ticks, worlds):
                 send_messages(state, scratch, b, slot, turn, p)  # messages <- tracks, beliefs, beats, tables
                 episode.n_rounds += 1
             estimate_yaws(state, scratch, b, p)  # relative yaws <- sights, ego, inboxes
+        prefetch_contacts(state, following, p)
         if moves:
             episode.step += 1
         else:
@@ -136,6 +140,36 @@ def round_of(number, k, slots, p):
     # without loss and delay all unicast parts of a tick are the same: they lie in the slot until its last round
     writes = k == 0 or slots > 1 or p.loss > 0.0
     return Round(number // p.rounds + 1, k == 0, (number - slots) % p.rounds == 0, writes, number % slots == 0)
+
+
+# ------------------------------------------------------------------------------------------------ the next world
+@stage
+def prefetch_robots(state, b):
+    """Ask for the memory of world b's robots, and of the truth about its pairs."""
+    prefetch(state.episode[b])
+    prefetch(state.body[b])
+    prefetch(state.pair[b])
+    prefetch(state.ego[b])
+    prefetch(state.broadcast[b])
+    prefetch(state.belief[b])
+    prefetch(state.beat[b])
+    prefetch(state.beat_air[b])
+    prefetch(state.info[b])
+    prefetch(state.flat[b])
+
+
+@stage
+def prefetch_contacts(state, b, p):
+    """Ask for the memory of what is on board of world b's robots, and in the air, about their contacts."""
+    n, pairs = state.body.shape[1], state.pair[b]
+    for i in range(n):
+        for j in range(n):
+            if j != i and pairs[i, j].idle_ticks < p.rest_ticks:
+                prefetch(state.sight[b, i, j])
+                prefetch(state.inbox[b, i, j])
+                prefetch(state.track[b, i, j])
+                for slot in range(state.unicast.shape[1]):
+                    prefetch(state.unicast[b, slot, i, j])
 
 
 # --------------------------------------------------------------------------------------------- once an episode
