@@ -21,7 +21,7 @@ def update_pairs(bodies, pairs, near, count, piece, vertex, p):
 
     Returns whether a pair became idle or active, so that the list of `build_contacts` is out of date.
     """
-    changed = False
+    changed, obstructed = False, p.occlusion and piece.shape[0] > 0 and piece[0].count > 0
     for i in range(bodies.shape[0]):
         bodies[i].nearest = math.inf
     for k in range(count):
@@ -37,16 +37,18 @@ def update_pairs(bodies, pairs, near, count, piece, vertex, p):
         x, y, z = inverse * dx, inverse * dy, inverse * dz
         a_ij = a.axis_x * (a.cos_yaw * x + a.sin_yaw * y) + a.axis_y * (a.cos_yaw * y - a.sin_yaw * x) + a.axis_z * z
         a_ji = -(b.axis_x * (b.cos_yaw * x + b.sin_yaw * y) + b.axis_y * (b.cos_yaw * y - b.sin_yaw * x) + b.axis_z * z)
-        in_range = p.d_min < distance < p.d_max
-        wanted = in_range and (a_ij > p.a_min or a_ji > p.a_min)
-        blocked = p.occlusion and wanted and sight_blocked(a.x, a.y, a.z, b.x, b.y, b.z, piece, vertex)
-        linked = wanted and not blocked if p.link == BY_SIGHT else distance < p.d_max
+        # & and | make no branches, of which a processor foresees none: each pair is another case
+        in_range = (p.d_min < distance) & (distance < p.d_max)
+        i_sees, j_sees = in_range & (a_ij > p.a_min), in_range & (a_ji > p.a_min)
+        wanted, blocked = i_sees | j_sees, False
+        if obstructed and wanted:
+            blocked = sight_blocked(a.x, a.y, a.z, b.x, b.y, b.z, piece, vertex)
+        linked = wanted & (not blocked) if p.link == BY_SIGHT else distance < p.d_max
         ij.cosine, ji.cosine, ij.blocked, ji.blocked = a_ij, a_ji, blocked, blocked
-        ij.seen = in_range and a_ij > p.a_min and not blocked  # f*_ij > 0 (10)
-        ji.seen = in_range and a_ji > p.a_min and not blocked
+        ij.seen, ji.seen = i_sees & (not blocked), j_sees & (not blocked)  # f*_ij > 0 (10)
         ij.linked = ji.linked = linked
         idle_ticks = 0 if linked else min(ij.idle_ticks + 1, p.rest_ticks)
-        changed = changed or (idle_ticks == p.rest_ticks) != (ij.idle_ticks == p.rest_ticks)
+        changed = changed | ((idle_ticks == p.rest_ticks) != (ij.idle_ticks == p.rest_ticks))
         ij.idle_ticks = ji.idle_ticks = idle_ticks
     for i in range(bodies.shape[0]):
         if bodies[i].nearest >= p.d_max:
@@ -70,19 +72,22 @@ def broad_phase(bodies, order, row, col, contacts, near, p):
                 count += 1
         return count
     sort_along_x(order, bodies)
+    reach = p.d_max
     for a in range(n):
         i = order[a]
+        x, y = bodies[i].x, bodies[i].y
         for b in range(a + 1, n):
             j = order[b]
-            if bodies[j].x - bodies[i].x >= p.d_max:
+            if bodies[j].x - x >= reach:
                 break
             near[count, 0], near[count, 1] = min(i, j), max(i, j)
-            count += abs(bodies[j].y - bodies[i].y) < p.d_max
+            count += abs(bodies[j].y - y) < reach
     for k in range(contacts):
         i, j = row[k], col[k]
-        apart = abs(bodies[j].x - bodies[i].x) >= p.d_max or abs(bodies[j].y - bodies[i].y) >= p.d_max
-        near[count, 0], near[count, 1] = i, j
-        count += i < j and apart
+        if i < j:
+            apart = (abs(bodies[j].x - bodies[i].x) >= reach) | (abs(bodies[j].y - bodies[i].y) >= reach)
+            near[count, 0], near[count, 1] = i, j
+            count += apart
     return count
 
 

@@ -28,8 +28,9 @@ def scan(bodies, i, piece, vertex, rows, episode, p):
         dx, dy, dz = bodies[j].x - me.x, bodies[j].y - me.y, bodies[j].z - me.z
         distance = math.sqrt(dx * dx + dy * dy + dz * dz)
         surface = max(distance - 0.5 * p.collision_robot, 0.0)
-        scale = surface / max(distance, 1e-9)
-        _add_point(rows, me, (dx * scale, dy * scale, dz * scale, surface), (i << 12) + j, episode, p)
+        if surface < p.range_max:
+            scale = surface / max(distance, 1e-9)
+            _add_point(rows, me, (dx * scale, dy * scale, dz * scale, surface), (i << 12) + j, episode, p)
     k, best = 0, math.inf
     bx = by = bz = 0.0
     while k < piece.shape[0] and piece[k].count > 0:
