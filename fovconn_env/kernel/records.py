@@ -187,6 +187,7 @@ class Scratch(NamedTuple):
     # unsigned, as numba checks each use of a signed index for counting from the end
     order: np.ndarray  # (N,) uint32, all robots, see camera.broad_phase
     near: np.ndarray  # (N N, 2) uint32, the pairs to look at
+    nearest: np.ndarray  # (N,) uint32, a robot's neighbours, see observation.sort_present
     row: np.ndarray  # (N N,) uint32, rows of the CSR list of contacts, see camera.build_contacts
     col: np.ndarray  # (N N,) uint32, their columns
     indptr: np.ndarray  # (N + 1,) int64, where each row starts

@@ -217,7 +217,7 @@ def clear_traffic(infos):
 def write_observations(state, world, scratch, b, p):
     """Write every robot's observation: range points from the world, the rest on board; of a dead robot zeros."""
     bodies, episode, infos = state.body[b], state.episode[b], state.info[b]
-    work, bounds = (scratch.laplacian, scratch.spectrum), (world.low, world.high)
+    work, bounds = (scratch.laplacian, scratch.spectrum, scratch.nearest), (world.low, world.high)
     tick = episode.n_rounds // p.rounds
     for i in range(bodies.shape[0]):
         leads = i == episode.leader and p.leader != NOBODY
@@ -298,18 +298,20 @@ def sense(state, scratch, b, p):
     n = bodies.shape[0]
     for i in range(n):
         measure_ego_motion(bodies[i], ego[i], i, episode, p)
-        for j in contacts_of(scratch, i):
-            measure_relative_position(bodies[i], bodies[j], pairs[i, j], ego[i], sights[i, j], i * n + j, episode, p)
-        robot.sense(robot_of(state, b, i), contacts_of(scratch, i), p)
+        robot.sense(robot_of(state, b, i), p)
+    for k in range(scratch.indptr[n]):
+        i, j = scratch.row[k], scratch.col[k]
+        measure_relative_position(bodies[i], bodies[j], pairs[i, j], ego[i], sights[i, j], i * n + j, episode, p)
+        robot.see(robot_of(state, b, i), j, p)
 
 
 @stage
 def receive_messages(state, scratch, b, slot, turn, p):
     """Every robot receives the messages that arrive in this round; both ends of a link then agree on its weight."""
-    for i in range(state.body.shape[1]):
-        for j in contacts_of(scratch, i):
-            message = message_of(state, b, slot, j, i)
-            robot.receive(robot_of(state, b, i), outbox_of(state, b, slot, i), j, message, turn, p)
+    for k in range(scratch.indptr[state.body.shape[1]]):
+        i, j = scratch.row[k], scratch.col[k]
+        message = message_of(state, b, slot, j, i)
+        robot.receive(robot_of(state, b, i), outbox_of(state, b, slot, i), j, message, turn, p)
 
 
 @stage
@@ -322,20 +324,22 @@ def send_messages(state, scratch, b, slot, turn, p):
         if p.lambda2 == power_iteration.FLOODING:
             n_bytes += bytes_per_table(n)
     for i in range(n):
-        if turn.writes:
-            for j in contacts_of(scratch, i):
-                unicast = state.unicast[b, slot, i, j]
-                draw_losses(unicast, pairs[i, j], i * n + j, episode, p)
-                if unicast.sent:
-                    infos[i].bytes_sent += n_bytes
         robot.send(robot_of(state, b, i), outbox_of(state, b, slot, i), contacts_of(scratch, i), turn, p)
+    for k in range(scratch.indptr[n] if turn.writes else 0):
+        i, j = scratch.row[k], scratch.col[k]
+        unicast = state.unicast[b, slot, i, j]
+        draw_losses(unicast, pairs[i, j], i * n + j, episode, p)
+        if unicast.sent:
+            infos[i].bytes_sent += n_bytes
+            robot.send_note(robot_of(state, b, i), outbox_of(state, b, slot, i), j)
 
 
 @stage
 def estimate_yaws(state, scratch, b, p):
     """Every robot estimates the relative yaws of its contacts; a switch may override them."""
-    for i in range(state.body.shape[1]):
-        robot.estimate_yaws(robot_of(state, b, i), contacts_of(scratch, i), p)
+    for k in range(scratch.indptr[state.body.shape[1]]):
+        i, j = scratch.row[k], scratch.col[k]
+        robot.estimate_yaw(robot_of(state, b, i), j, p)
     if p.relative_yaw != relative_yaw.ESTIMATED:
         override_yaw(state.body[b], state.track[b], p)
 

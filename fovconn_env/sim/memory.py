@@ -55,6 +55,7 @@ def scratch(n_agents: int) -> records.Scratch:
         spectrum=np.empty((n + N_VECTORS, n)),
         order=np.arange(n, dtype=np.uint32),
         near=np.empty((n * n, 2), np.uint32),
+        nearest=np.empty(n, np.uint32),
         row=np.empty(n * n, np.uint32),
         col=np.empty(n * n, np.uint32),
         indptr=np.empty(n + 1, np.int64),

@@ -71,7 +71,7 @@ class Orders(NamedTuple):
 
 @entry
 def call(orders, turn, memory, said, heard, contacts, work, bounds, params):
-    """One of the six functions, or `receive` and `send`."""
+    """The functions of a part of a tick."""
     p, m, slot = params[0], memory, orders.slot
     me = Robot(
         orders.index,
@@ -91,14 +91,20 @@ def call(orders, turn, memory, said, heard, contacts, work, bounds, params):
     if orders.task == START:
         robot.start(me, orders.x, p)
     elif orders.task == SENSE:
-        robot.sense(me, contacts, p)
+        robot.sense(me, p)
+        for j in contacts:
+            robot.see(me, j, p)
     elif orders.task == ROUND:
         for j in contacts:
             message = Message(heard.broadcast[j], heard.unicast[j], heard.beats[j], heard.tables[j])
             robot.receive(me, outbox, j, message, turn, p)
         robot.send(me, outbox, contacts, turn, p)
+        if turn.writes:
+            for j in contacts:
+                robot.send_note(me, outbox, j)
     elif orders.task == YAWS:
-        robot.estimate_yaws(me, contacts, p)
+        for j in contacts:
+            robot.estimate_yaw(me, j, p)
     else:
         robot.observe(me, contacts, turn.tick, orders.leads, orders.stick, work, bounds, p)
 
@@ -118,9 +124,8 @@ class Process:
         beats, table, mode = np.zeros(n, np.int64), np.zeros((rows, entries)), np.zeros(rows)
         self.memory = Memory(*arrays, beats, table, mode, flat[0], views.own, views.neighbors[0])
         self.said = mail(slots, n, entries, rows, unicast=(slots, n))
-        self.said.unicast["sent"] = True  # what the radio does not carry is written all the same
         own = scratch(n)
-        self.work, self.bounds = (own.laplacian, own.spectrum), (world.low, world.high)
+        self.work, self.bounds = (own.laplacian, own.spectrum, own.nearest), (world.low, world.high)
         self.heard = mail(n, n, entries, rows, unicast=(n,))
 
     def do(self, task, turn, slot=0, x=0.0, leads=False, stick=(0.0, 0.0, 0.0)):

@@ -388,7 +388,7 @@ def test_a_robot_in_touch_does_change_something():
 MODULES = (flooding, liveness, messages, observation, power_iteration, relative_yaw, robot)
 TRUTH = {"body", "bodies", "pair", "pairs", "flight", "flights", "world", "state", "piece", "vertex", "info", "infos"}
 TRUTH |= {"episode", "episodes", "key", "beliefs", "params"}
-FUNCTIONS = {"start", "sense", "receive", "send", "estimate_yaws", "observe"}  # a robot's
+FUNCTIONS = {"start", "sense", "see", "receive", "send", "send_note", "estimate_yaw", "observe"}  # a robot's
 SLICES = {"Robot": ("b", "i"), "Outbox": ("b", "slot", "i"), "Message": ("b", "slot", "j")}  # of robot i, or of j
 
 
@@ -465,7 +465,7 @@ def test_step_hands_robots_nothing_else():
         assert not call.keywords
     assert called == FUNCTIONS
     named = {"message": "message_of(state, b, slot, j, i)"}
-    named |= {"work": "(scratch.laplacian, scratch.spectrum)", "bounds": "(world.low, world.high)"}
+    named |= {"work": "(scratch.laplacian, scratch.spectrum, scratch.nearest)", "bounds": "(world.low, world.high)"}
     for node in ast.walk(tree):
         if isinstance(node, ast.Assign):
             target, value = node.targets[0], node.value

@@ -20,34 +20,37 @@ def write_self(row, ego, belief, share, leads, stick):
 
 
 @kernel
-def write_neighbors(rows, tracks, inboxes, belief, mode, contacts, p):
-    """Fill robot i's neighbour rows, (M,) NEIGHBOR, nearest first; returns how many neighbours found no row.
+def sort_present(nearest, tracks, contacts):
+    """Write the neighbours among robot i's contacts to `nearest` (N,), by (distance, index); returns how many."""
+    count = 0
+    for j in contacts:
+        if not tracks[j].present:
+            continue
+        k, distance = count, tracks[j].distance
+        while k > 0 and tracks[nearest[k - 1]].distance > distance:
+            nearest[k] = nearest[k - 1]
+            k -= 1
+        nearest[k] = j
+        count += 1
+    return count
+
+
+@kernel
+def write_neighbors(rows, nearest, tracks, inboxes, belief, mode, p):
+    """Fill robot i's neighbour rows, (M,) NEIGHBOR, with the first M of its neighbours `nearest`.
 
     mode: the eigenvector (N,) of its table, with lambda2 = "flooding".
     """
     root = math.sqrt(tracks.shape[0] * max(belief.y2, 1e-6))
-    present = 0
-    for j in contacts:
-        if tracks[j].present:
-            present += 1
-    last, last_distance = -1, -math.inf
     for k in range(rows.shape[0]):
-        nearest, least = -1, math.inf
-        if k < present:
-            for j in contacts:  # the next one by (distance, index)
-                d = tracks[j].distance
-                after = d > last_distance or (d == last_distance and j > last)
-                if tracks[j].present and after and d < least:
-                    nearest, least = j, d
-        if nearest < 0:
+        if k >= nearest.shape[0]:
             if rows[k].present > 0.0:
                 _clear_row(rows[k])
             continue
-        last, last_distance = nearest, least
-        _write_neighbor(rows[k], tracks[nearest], inboxes[nearest], root, p)
+        j = nearest[k]
+        _write_neighbor(rows[k], tracks[j], inboxes[j], root, p)
         if p.lambda2 == FLOODING:
-            rows[k].v2_hat = mode[nearest]  # the entry that the neighbour sends may have the other sign
-    return max(present - rows.shape[0], 0)
+            rows[k].v2_hat = mode[j]  # the entry that the neighbour sends may have the other sign
 
 
 @kernel

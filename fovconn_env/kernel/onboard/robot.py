@@ -1,15 +1,16 @@
-"""What a robot consists of: six functions, each on its own slices of the arrays.
+"""What a robot consists of: eight functions, each on its own slices of the arrays.
 
     start                      once an episode: nothing is heard or seen yet
-    sense                      every tick: tracks <- odometry, IMU, camera
-    receive, send              every message round: inboxes, beats, table <- a message; messages <- what is on board
-    estimate_yaws              every tick, after its rounds: relative yaws <- sight, odometry, inboxes
+    sense, see                 every tick: own motion <- odometry, IMU; the track of a contact <- camera
+    receive                    every message round, for each contact: inbox, beats, table <- its message
+    send, send_note            every message round: messages <- what is on board; the part for one contact
+    estimate_yaw               every tick, after its rounds, for each contact: relative yaw <- sight, odometry, inbox
     observe                    every step: observation <- what is on board
 
-`kernel.step` calls them for each robot of a world; a robot that is a process of its own calls the same for itself. No
-function takes a pose, the truth about a pair, the episode or its noise key. Before `sense` the first six fields of
-`ego` and the `sights` hold what the sensors measured, before `observe` the range rows do; `receive` is handed one
-message at a time. Times are counts that all robots share: `tick` from 1, since the reset.
+`kernel.step` calls them for each robot of a world, and for each contact in one loop over all robots; a robot that is a
+process of its own calls the same for itself. No function takes a pose, the truth about a pair, the episode or its noise
+key. Before `sense` the first six fields of `ego` and the `sights` hold what the sensors measured, before `observe` the
+range rows do. Times are counts that all robots share: `tick` from 1, since the reset.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from fovconn_env.kernel.onboard import relative_yaw
 from fovconn_env.kernel.onboard.flooding import build_laplacian, copy_table, merge_table, solve_table, write_own_row
 from fovconn_env.kernel.onboard.liveness import live_share, merge_beats, send_beats
 from fovconn_env.kernel.onboard.messages import receive_message, write_broadcast, write_unicast
-from fovconn_env.kernel.onboard.observation import clip, write_neighbors, write_self
+from fovconn_env.kernel.onboard.observation import clip, sort_present, write_neighbors, write_self
 from fovconn_env.kernel.onboard.power_iteration import (
     FLOODING,
     POWER,
@@ -62,11 +63,15 @@ def start(me, x, p):
 
 
 @stage
-def sense(me, contacts, p):
-    """Take in a tick's sensors: own motion, and the sight of each contact (indices j)."""
+def sense(me, p):
+    """Take in a tick's own motion."""
     relative_yaw.dead_reckon(me.ego, p)
-    for j in contacts:
-        relative_yaw.update_track(me.tracks[j], me.sights[j], me.ego, p)
+
+
+@stage
+def see(me, j, p):
+    """Take in a tick's sight of robot j, or that there is none, after `sense`."""
+    relative_yaw.update_track(me.tracks[j], me.sights[j], me.ego, p)
 
 
 @stage
@@ -82,7 +87,7 @@ def receive(me, outbox, j, message, turn, p):
 
 @stage
 def send(me, outbox, contacts, turn, p):
-    """Run a round of the power iteration on what was received, then write the messages of this round."""
+    """Run a round of the power iteration on what was received, then write the part of this round's messages for all."""
     if turn.estimates and p.lambda2 == POWER:
         power_round(me.belief, me.tracks, outbox.broadcast, me.inboxes, contacts, p)
     if turn.first:
@@ -91,25 +96,26 @@ def send(me, outbox, contacts, turn, p):
             write_own_row(me.table, me.tracks, me.index, turn.tick)
             copy_table(outbox.table, me.table)
     write_broadcast(outbox.broadcast, me.ego, me.belief)
-    if turn.writes:
-        for j in contacts:
-            if outbox.unicast[j].sent:  # else the radio does not reach j
-                write_unicast(outbox.unicast[j], me.tracks[j])
 
 
 @stage
-def estimate_yaws(me, contacts, p):
-    """Relative yaw of each contact, after a tick's messages."""
-    for j in contacts:
-        relative_yaw.estimate_yaw(me.tracks[j], me.sights[j], me.ego, me.inboxes[j], p)
+def send_note(me, outbox, j):
+    """Write the part of a message that is for robot j alone, in a round in which such parts are written."""
+    write_unicast(outbox.unicast[j], me.tracks[j])
+
+
+@stage
+def estimate_yaw(me, j, p):
+    """Relative yaw of robot j, after a tick's messages."""
+    relative_yaw.estimate_yaw(me.tracks[j], me.sights[j], me.ego, me.inboxes[j], p)
 
 
 @stage
 def observe(me, contacts, tick, leads, stick, work, bounds, p):
     """Write the observation after `tick`; returns how many neighbours found no row.
 
-    leads: the operator's stick (x, y, z; m/s) reaches this robot; it is 0 for others. work: (laplacian, spectrum) of
-    Scratch. bounds: (low, high) of `flat`, (D,) each.
+    leads: the operator's stick (x, y, z; m/s) reaches this robot; it is 0 for others. work: (laplacian, spectrum,
+    nearest) of Scratch. bounds: (low, high) of `flat`, (D,) each.
     """
     if p.lambda2 == POWER:
         read_estimate(me.belief, me.tracks.shape[0])
@@ -117,6 +123,7 @@ def observe(me, contacts, tick, leads, stick, work, bounds, p):
         build_laplacian(me.table, work[0], tick, p)
         solve_table(me.belief, me.mode, work[0], work[1], me.index)
     write_self(me.own_row, me.ego, me.belief, live_share(me.beats, tick, p), leads, stick)
-    dropped = write_neighbors(me.neighbor_rows, me.tracks, me.inboxes, me.belief, me.mode, contacts, p)
+    present = sort_present(work[2], me.tracks, contacts)
+    write_neighbors(me.neighbor_rows, work[2][:present], me.tracks, me.inboxes, me.belief, me.mode, p)
     clip(me.flat, bounds[0], bounds[1])
-    return dropped
+    return max(present - me.neighbor_rows.shape[0], 0)
