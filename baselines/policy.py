@@ -67,6 +67,11 @@ class Policy(metaclass=PolicyType):
             if "has_memory" not in vars(cls):
                 cls.has_memory = True
 
+    @property
+    def memoryless(self) -> bool:
+        """Whether a robot's action surely depends on its row alone: other rows may be left out from step to step."""
+        return self._trusted and not self.has_memory
+
     def __copy__(self) -> Self:
         return copy.deepcopy(self)  # two policies that share a memory would disturb each other
 

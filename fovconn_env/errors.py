@@ -8,7 +8,7 @@ import numbers
 import reprlib
 import sysconfig
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -58,6 +58,16 @@ def missing_package(what: str, problem: ImportError) -> MissingPackage | None:
     return MissingPackage(f'{what} needs {package}: pip install "fovconn-env[{EXTRAS[package]}]"')
 
 
+class Later:
+    """A text for an error, made only if there is one."""
+
+    def __init__(self, make: Callable[[], str]) -> None:
+        self._make = make
+
+    def __str__(self) -> str:
+        return self._make()
+
+
 class PolicyError(ValueError):
     """The code of a policy failed; `__cause__` is its own error."""
 
@@ -88,7 +98,7 @@ def place_of(problem: BaseException) -> str:
 
 
 @contextmanager
-def policy_code(doing: str) -> Iterator[None]:
+def policy_code(doing: str | Later) -> Iterator[None]:
     """Around a policy's own code: its errors become a `PolicyError` that says what it was `doing`, type, and place.
 
     What the package refuses, without the user's code on the way, stays one line: a `SettingError`.
@@ -146,7 +156,7 @@ def rule(holds: bool, field: str, says: str, value: object, hint: str) -> None:
         raise SettingError(f"{field} must be {says}, got {shown(value)}: {hint}")
 
 
-def as_numbers(field: str, value: Any) -> np.ndarray:
+def as_numbers(field: str | Later, value: Any) -> np.ndarray:
     """`value` as a float64 array; `SettingError` that names the field if it does not read as one."""
     try:
         return np.asarray(value, np.float64)

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from fovconn_env.errors import SettingError, as_numbers, policy_code
+from fovconn_env.errors import Later, SettingError, as_numbers, policy_code
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.simulator import Simulator
 
@@ -91,19 +91,34 @@ def steps(
 
 
 def decide(policy: Policy, simulator: Simulator) -> np.ndarray:
-    """A policy's actions (B, N, 4) float64 in the next step, 0 in worlds whose episode is over; raises as `rollout`."""
+    """A policy's actions (B, N, 4) float64 in the next step, 0 in worlds whose episode is over; raises as `rollout`.
+
+    A policy that is `memoryless` gets the observations of the other worlds alone.
+    """
+    observations, going = simulator.observations, ~simulator.over
+    shape = (*observations.shape[:2], 4)
+    fewer = getattr(policy, "memoryless", False) and not going.all()
+    if fewer:
+        observations = observations[going]
     name, where = type(policy).__name__, simulator.scenario.name
-    at = f"step {int(simulator.state.episode['step'].max())}"
-    with policy_code(f"policy {name} failed on {where} in {at}:"):
-        returned = policy.act(simulator.observations)
-    actions = as_numbers(f"actions of policy {name} on {where} in {at}", returned)
-    shape = (*simulator.observations.shape[:2], 4)
-    if actions.shape != shape:
-        got = f"got {actions.shape} on {where}, {at}"
-        raise SettingError(f"policy {name} must return actions of the shape {shape}, {got}: (worlds, robots, columns)")
-    bad = ~np.isfinite(actions).all(-1) & ~simulator.over[:, None]
-    if bad.any():
-        b, i = np.argwhere(bad)[0].tolist()
-        got = f"got {actions[b, i].tolist()} for uav_{i} on {where}, seed {simulator.seeds[b]}, {at}"
+
+    def at() -> str:
+        return f"step {int(simulator.state.episode['step'].max())}"
+
+    with policy_code(Later(lambda: f"policy {name} failed on {where} in {at()}:")):
+        returned = policy.act(observations)
+    given = as_numbers(Later(lambda: f"actions of policy {name} on {where} in {at()}"), returned)
+    wanted = (len(observations), *shape[1:])
+    if given.shape != wanted:
+        got = f"got {given.shape} on {where}, {at()}"
+        raise SettingError(f"policy {name} must return actions of the shape {wanted}, {got}: (worlds, robots, columns)")
+    if fewer:
+        actions = np.zeros(shape)
+        actions[going] = given
+    else:
+        actions = np.where(going[:, None, None], given, 0.0)
+    if not np.isfinite(actions).all():
+        b, i, _ = np.argwhere(~np.isfinite(actions))[0].tolist()
+        got = f"got {actions[b, i].tolist()} for uav_{i} on {where}, seed {simulator.seeds[b]}, {at()}"
         raise SettingError(f"policy {name} must return finite actions, {got}: did it diverge?")
-    return np.where(simulator.over[:, None, None], 0.0, actions)
+    return actions

@@ -7,6 +7,7 @@ import pytest
 
 from fovconn_env import Course, Fault, Forest, Recorder, Simulator, scenario
 from fovconn_env.baselines import find_policy
+from fovconn_env.baselines.laws.simple import Zero
 from fovconn_env.flights.flight import Film, fly, from_recording
 from fovconn_env.flights.metrics import Meter
 from fovconn_env.flights.recording import replay
@@ -224,6 +225,30 @@ def test_what_a_policy_says_of_an_episode_that_is_over_does_not_matter():
         over[:] = simulator.over
         seen.append(over.sum())
     assert set(seen) == {0, 1, 2}, "one ended before the other"
+
+
+@pytest.mark.parametrize("name", ["random", "springs", "cohesive", "dagger", "recovery"])
+def test_worlds_that_are_over_are_left_out_where_nothing_is_remembered(name, monkeypatch):
+    kind, results = find_policy(name), []
+    act, forgets = kind.act, not kind.has_memory
+    for leaves_out in (forgets, False):
+        monkeypatch.setattr(kind, "memoryless", leaves_out)
+        meter, worlds = Meter(), set()
+        monkeypatch.setattr(kind, "act", lambda pilot, seen, worlds=worlds: worlds.add(len(seen)) or act(pilot, seen))
+        for simulator in rollout(kind, small(), [1, 2, 3], observers=[meter]):
+            simulator.state.episode["max_steps"] = 60, 30, 90
+        assert worlds == ({3, 2, 1} if leaves_out else {3})
+        results.append(meter.results() | {"histograms": meter.histograms()})
+    np.testing.assert_equal(*results)
+
+
+def test_a_policy_of_ones_own_gets_the_rows_of_every_world():
+    class Mine(Zero):
+        """May count its rows or its calls."""
+
+    assert Zero(small()).memoryless
+    assert not Mine(small()).memoryless
+    assert not find_policy("recovery")(small()).memoryless
 
 
 def test_a_film_knows_who_leads_and_ends_with_the_flight():

@@ -2,6 +2,8 @@
 
 Two policies fly the same seeds: `a` and `b` of a comparison are paired, entry by entry. A stratum is a scenario. Every
 resample comes from a generator with a fixed seed, so that the same episodes always give the same numbers.
+
+scipy is imported where it is used: that takes longer than all other imports, and processes that fly need none of it.
 """
 
 from __future__ import annotations
@@ -13,12 +15,10 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
 LEVEL = 0.95
 RESAMPLES = 2000
 SEED = 7  # of all resamples
-Z = float(stats.norm.ppf(0.5 + LEVEL / 2))
 
 
 class Estimate(NamedTuple):
@@ -43,6 +43,8 @@ class Survival(NamedTuple):
 
 def share_interval(hits: np.ndarray) -> tuple[float, float]:
     """Wilson's score interval of a share; hits: (E,) of 0 and 1."""
+    from scipy import stats
+
     interval = stats.binomtest(int(hits.sum()), len(hits)).proportion_ci(LEVEL, method="wilson")
     return float(interval.low), float(interval.high)
 
@@ -53,9 +55,12 @@ def paired_share_difference(a: np.ndarray, b: np.ndarray) -> Estimate:
     One imaginary pair of each discordant kind keeps it from shrinking to a point where a and b agree everywhere.
     Bonett and Price, J. Educational and Behavioral Statistics 37(4), 2012.
     """
+    from scipy import stats
+
     only_a, only_b, count = int(np.sum(a > b)), int(np.sum(b > a)), len(a)
     p, q = (only_a + 1) / (count + 2), (only_b + 1) / (count + 2)
-    reach = Z * math.sqrt((p + q - (p - q) ** 2) / (count + 2))
+    z = float(stats.norm.ppf(0.5 + LEVEL / 2))
+    reach = z * math.sqrt((p + q - (p - q) ** 2) / (count + 2))
     return Estimate((only_a - only_b) / count, max(p - q - reach, -1.0), min(p - q + reach, 1.0))
 
 
@@ -101,6 +106,8 @@ def survival(times: np.ndarray, lost: np.ndarray) -> Survival:
     times (E,): of the loss where `lost` (E,), else of the last moment seen. Before the first loss the band is closed;
     once all are lost its upper edge stays.
     """
+    from scipy import stats
+
     lost = np.asarray(lost, bool)
     curve = stats.ecdf(stats.CensoredData(uncensored=times[lost], right=times[~lost])).sf
     with warnings.catch_warnings():
@@ -118,6 +125,8 @@ def survival(times: np.ndarray, lost: np.ndarray) -> Survival:
 
 def _bootstrap(strata: list[np.ndarray], statistic: Callable[..., np.ndarray]) -> Estimate:
     """A statistic of several samples, each resampled for itself."""
+    from scipy import stats
+
     strata = [values for values in strata if values.size]
     if not strata:
         return NOTHING
@@ -134,6 +143,8 @@ def _mean(*samples: np.ndarray, axis: int = -1) -> np.ndarray:
 
 
 def _trimmed(*samples: np.ndarray, axis: int = -1) -> np.ndarray:
+    from scipy import stats
+
     return stats.trim_mean(np.concatenate(samples, axis), 0.25, axis)
 
 

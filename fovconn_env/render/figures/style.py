@@ -61,6 +61,9 @@ def sheet(width: float, height: float, layout: Literal["constrained"] | None = "
 
 def save(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG and return the path."""
+    if figure.axes and (engine := figure.get_layout_engine()) is not None:
+        engine.execute(figure)  # `savefig` would draw all twice to be sure of the layout
+        figure.set_layout_engine(None)
     with replacing(path) as (part,):
         figure.savefig(part, dpi=figure.dpi, metadata={"Software": None})
     return path
