@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Mapping
+from itertools import repeat
 from typing import Any, Literal, TypeVar, Unpack, overload
 
 import gymnasium
@@ -251,7 +252,7 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
     def _infos(self) -> dict[str, dict[str, float]]:
         # as plain numbers, which numpy turns into lists in a third of the time that records take
         rows = self.simulator.infos[0].view(np.float64).reshape(-1, len(INFO_KEYS)).tolist()
-        return {agent: dict(zip(INFO_KEYS, row, strict=False)) for agent, row in zip(self.agents, rows, strict=True)}
+        return dict(zip(self.agents, map(dict, map(zip, repeat(INFO_KEYS), rows)), strict=True))
 
     def _observation_space(self) -> spaces.Space:
         low, high = self.simulator.world.low, self.simulator.world.high

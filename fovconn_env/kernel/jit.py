@@ -139,6 +139,17 @@ def entry(function: Callable[P, R]) -> Callable[P, R]:
     return cast("Callable[P, R]", dispatcher)
 
 
+def code_of(function: Callable[P, R]) -> Callable[P, R]:
+    """The machine code of an entry that has been called with arguments of one set of types, for more calls with such.
+
+    numba looks at each argument of a call to choose the code, which takes ten times as long as the call where they are
+    many arrays. This looks at none: arguments of other types are read as if they were of those. It is the entry itself
+    where there is a choice, and with NUMBA_DISABLE_JIT=1.
+    """
+    results = list(function.overloads.values()) if isinstance(function, CPUDispatcher) else []
+    return results[0].entry_point if len(results) == 1 else function
+
+
 def source_hash(beside: Iterable[Path] = ()) -> str:
     """Sixteen letters that change with the layout, with any file of the kernel, and with the files `beside` them."""
     digest = hashlib.sha256()

@@ -10,7 +10,7 @@ import pickle
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from operator import attrgetter
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ import numpy.typing as npt
 from fovconn_env import layout
 from fovconn_env.errors import SettingError, SettingTypeError, as_numbers, check_count, rule
 from fovconn_env.kernel import step
+from fovconn_env.kernel.jit import code_of
 from fovconn_env.kernel.world import operator
 from fovconn_env.scenarios.leader import Recorded
 from fovconn_env.scenarios.params import SWITCHES
@@ -82,6 +83,7 @@ class Simulator:
         self.seeds: list[int | None] = [None] * n_worlds  # of the worlds' starts; None without a seed
         self.n_threads = min(n_threads or available_cores(), max(n_worlds // WORLDS_PER_SLICE, 1))
         self._scratch = scratch(scenario.n_agents)  # of this thread
+        self._called: tuple[Any, Any, Any] = (None, None, None)  # state, world, and the code that was compiled for them
         self.closed = False
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
         warm = scenario.warmup if scenario.lambda2 in ("power", "flooding") else 0.0
@@ -195,7 +197,7 @@ class Simulator:
         leaves every world unchanged.
         """
         self._check_open()
-        chosen = np.ones(self.n_worlds, bool) if mask is None else np.asarray(mask, bool)
+        chosen = np.ones(self.n_worlds, bool) if mask is None else np.array(mask, bool)
         if chosen.shape != (self.n_worlds,):
             raise SettingError(f"mask must have the shape ({self.n_worlds},), got {chosen.shape}: one entry a world")
         seeds, placed = world_seeds(seed, self.n_worlds), self._world_poses(poses)
@@ -238,6 +240,8 @@ class Simulator:
     def advance(self, actions: np.ndarray, *, into: np.ndarray | None = None) -> np.ndarray:
         """As `step`, for an adapter that has checked its actions, (B, N, 4) finite float64, itself."""
         self._check_open()
+        if not actions.flags.carray:
+            actions = actions.copy()  # of the type for which the code is compiled, as NO_ACTIONS
         self._run_worlds(actions, NO_MASK, 0, into)
         return self.observations
 
@@ -390,9 +394,17 @@ class Simulator:
         self, actions: np.ndarray, mask: np.ndarray, warm_ticks: int, into: np.ndarray | None = None
     ) -> None:
         """Call `step.run` for all worlds; in large batches threads take slices of worlds in turn."""
+        state, world, code = self._called
+        run = code if state is self.state and world is self.world else step.run
+        self._run_slices(run, actions, mask, warm_ticks, into)
+        if run is step.run:
+            self._called = self.state, self.world, code_of(step.run)
+
+    def _run_slices(
+        self, run: Any, actions: np.ndarray, mask: np.ndarray, warm_ticks: int, into: np.ndarray | None
+    ) -> None:
         if self.n_threads == 1:
-            worlds = 0, self.n_worlds
-            step.run(self.state, self.world, self._scratch, self.params, actions, mask, warm_ticks, worlds)
+            run(self.state, self.world, self._scratch, self.params, actions, mask, warm_ticks, (0, self.n_worlds))
             if into is not None:
                 into[:] = self.state.flat
             return
@@ -403,7 +415,7 @@ class Simulator:
         def work() -> None:
             own = scratch(self.scenario.n_agents)
             for worlds in slices:
-                step.run(self.state, self.world, own, self.params, actions, mask, warm_ticks, worlds)
+                run(self.state, self.world, own, self.params, actions, mask, warm_ticks, worlds)
                 if into is not None:
                     into[slice(*worlds)] = self.state.flat[slice(*worlds)]
 
@@ -422,7 +434,7 @@ class Simulator:
         return f"Simulator({self.scenario.name}, n_worlds={self.n_worlds})"
 
     def __getstate__(self) -> dict:
-        return {**self.__dict__, "_pool": None}
+        return {**self.__dict__, "_pool": None, "_called": (None, None, None)}
 
     def __setstate__(self, attributes: dict) -> None:
         self.__dict__.update(attributes)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fovconn_env.kernel.jit import code_of, entry
 from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios.settings import Airframe, Camera, Course, Noise
 from fovconn_env.sim.simulator import Simulator
@@ -60,3 +61,23 @@ def test_compiled_and_plain_agree(case, tmp_path):
     assert here["track.present"].any()
     assert (here["range_row.present"] > 0).any()
     assert here["reward."].any()
+
+
+@entry
+def double(values):
+    """Twice the values (n,), in place."""
+    for k in range(values.shape[0]):
+        values[k] *= 2.0
+
+
+def test_code_is_called_directly_where_there_is_no_choice():
+    values, single = np.ones(3), np.ones(3, np.float32)
+    assert code_of(double) is double, "nothing is compiled yet"
+    double(values)
+    code_of(double)(values)
+    assert (values == 4.0).all()
+    assert (code_of(double) is double) is not JIT
+    double(single)
+    assert code_of(double) is double, "two kinds of arrays"
+    code_of(double)(single)
+    assert (single == 4.0).all()

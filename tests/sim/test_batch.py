@@ -162,6 +162,43 @@ def test_worlds_that_are_over_stand_still():
     assert batch.state.episode["step"].tolist() == [10, 5, 10]
 
 
+def moved_by_a_byte(array):
+    """A copy of an array that begins at an odd address."""
+    memory = bytearray(array.nbytes + 1)
+    copy = np.frombuffer(memory, array.dtype, array.size, offset=1).reshape(array.shape)
+    copy[...] = array
+    return copy
+
+
+FORMS = {
+    "single": lambda actions: actions.astype(np.float32),
+    "big-endian": lambda actions: actions.astype(">f8"),
+    "fortran": np.asfortranarray,
+    "strided": lambda actions: np.repeat(actions, 2, axis=-1)[..., ::2],
+    "repeated": lambda actions: np.broadcast_to(actions[0], actions.shape),
+    "read-only": lambda actions: np.frombuffer(actions.tobytes()).reshape(actions.shape),
+    "unaligned": moved_by_a_byte,
+    "matrix": lambda actions: np.ma.masked_array(actions),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_actions_and_masks_lie_in_memory_as_they_like(form):
+    simulator, twin = build("LeaderFollow-v0", WORLDS), build("LeaderFollow-v0", WORLDS)
+    steps, mask = actions_for("LeaderFollow-v0")[:12], np.array([True, False, False, True] * WORLDS)[::4]
+    for one in (simulator, twin):
+        one.reset(5)
+        one.step(steps[0])
+    compiled = len(step.run.signatures)
+    simulator.reset(7, mask=mask)
+    twin.reset(7, mask=mask.copy())
+    for actions in map(FORMS[form], steps):
+        simulator.step(actions)
+        twin.step(np.array(actions, np.float64, order="C"))
+    assert all(differing(snapshot(simulator, b), snapshot(twin, b)) == [] for b in range(WORLDS))
+    assert len(step.run.signatures) == compiled, "nothing is compiled for another kind of array"
+
+
 def test_seeds():
     a, b = build("LeaderFollow-v0"), build("LeaderFollow-v0")
     a.reset(5)
