@@ -167,6 +167,6 @@ def _warn(why: str) -> None:
     """Say once, and not in each process of a pool, that nothing is kept."""
     global _warned
     if not _warned and multiprocessing.parent_process() is None:
-        hint = "every program compiles again, for half a minute; set NUMBA_CACHE_DIR to a folder that can be written"
+        hint = "every program compiles again, for 15 s; set NUMBA_CACHE_DIR to a folder that can be written"
         warnings.warn(f"compiled code cannot be kept ({why}): {hint}", RuntimeWarning, stacklevel=2)
     _warned = True

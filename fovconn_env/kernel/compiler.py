@@ -1,4 +1,4 @@
-"""How functions that only compiled code calls are compiled: once, as a part of the entry that calls them.
+"""How numba compiles the kernels: each function once, as a part of what Python calls.
 
 numba optimises each function together with all that it calls, and makes machine code of it, before its caller takes it
 in and does so again: a chain of calls is compiled at each of its links. Here a function stays LLVM code by itself. Its
@@ -14,15 +14,44 @@ import logging
 from types import SimpleNamespace
 from typing import Any
 
+import llvmlite.binding as llvm
 import numba
+from numba import types
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler import Compiler, CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import PassManager, register_pass
-from numba.core.typed_passes import NativeLowering
+from numba.core.typed_passes import NativeLowering, NopythonRewrites
+from numba.extending import models, register_model
 
 _LOG = logging.getLogger("fovconn_env")
 
 
+def part_compiler(*args: Any) -> CompilerBase:
+    """A compiler of what only compiled code calls."""
+    return _PartCompiler(*args) if is_supported() else Compiler(*args)
+
+
+def large_compiler(*args: Any) -> CompilerBase:
+    """A compiler of long code that Python calls."""
+    return _LargeCompiler(*args) if is_supported() else Compiler(*args)
+
+
+@functools.cache
+def is_supported() -> bool:
+    """Whether this numba has the internals needed: decided once, by compiling a chain of calls."""
+    options: dict[str, Any] = {"_nrt": False}
+    inner = {**options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": _PartCompiler}
+    try:
+        square: Any = numba.njit(lambda x: x * x, **inner)
+        shifted: Any = numba.njit(lambda x: square(x) + 1.0, **inner)
+        both: Any = numba.njit(lambda x: shifted(x) + square(x), pipeline_class=_LargeCompiler, **options)
+        return both(3.0) == 19.0
+    except Exception as problem:  # internals that differ may fail in any way
+        _LOG.debug("kernels are compiled in numba's own way, more slowly: %r", problem)
+        return False
+
+
+# ------------------------------------------------------------------------------------------------------ LLVM's share
 class _Part(JITCodeLibrary):
     """The LLVM code of one function: neither linked, nor optimised as a whole, nor made machine code of."""
 
@@ -61,50 +90,85 @@ class _Part(JITCodeLibrary):
         return found
 
 
+class _Large(JITCodeLibrary):
+    """Long code: no loop is unrolled, which takes a third of LLVM's time and brings nothing."""
+
+    def _optimize_final_module(self) -> None:
+        options = llvm.create_pipeline_tuning_options(speed_level=3)
+        options.loop_unrolling = options.slp_vectorization = False
+        options.loop_vectorization = True  # brings an eighth of a step of 48 robots
+        builder = llvm.create_pass_builder(self._codegen._tm, options)
+        builder.getModulePassManager().run(self._final_module, builder)
+
+
+# ----------------------------------------------------------------------------------------------------- numba's share
+class _Function(types.Function):
+    """An operator or builtin function that remembers its signatures: numba tries all that there are, at each call."""
+
+    def __init__(self, templates: Any) -> None:
+        super().__init__(templates)
+        self._signatures: dict[tuple[Any, ...], Any] = {}
+
+    def get_call_type(self, context: Any, args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
+        context = getattr(context, "numbas", context)
+        if kws:
+            return super().get_call_type(context, args, kws)
+        if args not in self._signatures:
+            self._signatures[args] = super().get_call_type(context, args, kws)
+        return self._signatures[args]
+
+
+register_model(_Function)(models.OpaqueModel)
+_function = functools.cache(_Function)  # by templates; numba forgets a type that nothing refers to
+
+
+class _Typing:
+    """numba's typing context, with `_Function`."""
+
+    def __init__(self, context: Any) -> None:
+        self.numbas = context
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.numbas, name)
+
+    def resolve_value_type(self, value: Any) -> Any:
+        resolved = self.numbas.resolve_value_type(value)
+        return _function(resolved.templates) if type(resolved) is types.Function else resolved
+
+
 @register_pass(mutates_CFG=True, analysis_only=False)
-class _PartLowering(NativeLowering):
-    _name = "lowering_to_a_part"
+class _Lowering(NativeLowering):
+    _name = "lowering_of_fovconn_env"
 
     def run_pass(self, state: Any) -> bool:
-        state.library = _Part(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library = state.pipeline.library_class(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
         return super().run_pass(state)
 
 
-class PartCompiler(CompilerBase):
-    """numba's compiler, with `_Part` for a library where this numba knows how."""
+class _Compiler(CompilerBase):
+    """numba's compiler, with a library of another class, and without what only new arrays need."""
+
+    library_class: type[JITCodeLibrary]
+
+    def __init__(self, typingctx: Any, *args: Any) -> None:
+        super().__init__(typingctx, *args)
+        self.state.typingctx = self.state.targetctx.typing_context = _Typing(typingctx)
 
     def define_pipelines(self) -> list[PassManager]:
-        return [
-            _part_pipeline(self.state) if is_supported() else DefaultPassBuilder.define_nopython_pipeline(self.state)
-        ]
+        pipeline = DefaultPassBuilder.define_nopython_pipeline(self.state, "fovconn_env")
+        replaced = {NativeLowering: _Lowering, NopythonRewrites: None}
+        if not replaced.keys() <= dict(pipeline.passes).keys():
+            raise LookupError("numba's pipeline has other passes")
+        passes = [(replaced.get(step, step), text) for step, text in pipeline.passes]
+        pipeline.passes = [(step, text) for step, text in passes if step is not None]
+        pipeline.finalize()
+        return [pipeline]
 
 
-class _UncheckedCompiler(CompilerBase):
-    def define_pipelines(self) -> list[PassManager]:
-        return [_part_pipeline(self.state)]
+class _PartCompiler(_Compiler):
+    library_class = _Part
 
 
-def _part_pipeline(state: Any) -> PassManager:
-    pipeline = DefaultPassBuilder.define_nopython_pipeline(state, "part")
-    lowering = [(_PartLowering if step is NativeLowering else step, text) for step, text in pipeline.passes]
-    if lowering == pipeline.passes:
-        raise LookupError("numba's pipeline has no NativeLowering")
-    pipeline.passes = lowering
-    pipeline.finalize()
-    return pipeline
-
-
-@functools.cache
-def is_supported() -> bool:
-    """Whether this numba has the internals needed: decided once, by compiling a chain of calls."""
-    options: dict[str, Any] = {"_nrt": False}
-    inner = {**options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": _UncheckedCompiler}
-    try:
-        square: Any = numba.njit(lambda x: x * x, **inner)
-        shifted: Any = numba.njit(lambda x: square(x) + 1.0, **inner)
-        both: Any = numba.njit(lambda x: shifted(x) + square(x), **options)
-        return both(3.0) == 19.0
-    except Exception as problem:  # internals that differ may fail in any way
-        _LOG.debug("kernels are compiled in numba's own way, more slowly: %r", problem)
-        return False
+class _LargeCompiler(_Compiler):
+    library_class = _Large

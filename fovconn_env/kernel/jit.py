@@ -20,11 +20,12 @@ from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
 import numpy as np
+from numba import types
 from numba.core import config, event
 from numba.core.registry import CPUDispatcher
 
 from fovconn_env.kernel.cache import DiskCache
-from fovconn_env.kernel.compiler import PartCompiler
+from fovconn_env.kernel.compiler import large_compiler, part_compiler
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -34,7 +35,7 @@ _OPTIONS: dict[str, Any] = {"fastmath": False, "_nrt": False}
 _INNER: dict[str, Any] = {
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
-    "pipeline_class": PartCompiler,
+    "pipeline_class": part_compiler,
     **_OPTIONS,
 }
 _PACKAGE = Path(__file__).parents[1]
@@ -43,7 +44,9 @@ if not _PACKAGE.is_dir():  # in a zip file, where neither the sources nor the we
         "fovconn_env must be installed, and cannot be imported from a wheel as it is: pip install FILE.whl"
     )
 # Stands in every file that holds compiled code.
-_MARK = re.compile(rb"^from fovconn_env\.kernel\.jit import .*\b(?:entry|formula|kernel|stage|view)\b", re.MULTILINE)
+_MARK = re.compile(
+    rb"^from fovconn_env\.kernel\.jit import .*\b(?:entry|formula|kernel|large_entry|stage|view)\b", re.MULTILINE
+)
 _LOG = logging.getLogger("fovconn_env")  # to standard error, unless the application has set up logging
 PATIENCE = 1.0  # s
 
@@ -73,7 +76,7 @@ class Announcement(event.Listener):
 
     def _say(self, module: str) -> None:
         self._said = True
-        text = "compiling %s: up to half a minute on a free core, once on this machine and for each version"
+        text = "compiling %s: about 15 s on a free core, once on this machine and for each version"
         _LOG.warning(text, module)
 
 
@@ -86,6 +89,10 @@ class _Inner(CPUDispatcher):
 
     def __call__(self, *args: object, **kwargs: object) -> None:
         raise TypeError(f"{self.py_func.__qualname__} is called from compiled code only: call it in an `entry`")
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Not compiled once more for each literal among the arguments: LLVM inlines what that would gain."""
+        return super().get_call_template(tuple(map(types.unliteral, args)), kws)
 
 
 def _inner(dispatcher: Any) -> Any:
@@ -122,6 +129,15 @@ def view(function: Callable[P, R]) -> Callable[P, R]:
 
 def entry(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a function that Python calls: cached on disk, without the GIL, so that threads can share the worlds."""
+    return _entry(function)
+
+
+def large_entry(function: Callable[P, R]) -> Callable[P, R]:
+    """As `entry`, for one that calls so much that its loops are not unrolled."""
+    return _entry(function, pipeline_class=large_compiler)
+
+
+def _entry(function: Callable[P, R], **options: Any) -> Callable[P, R]:
     if config.DISABLE_JIT:
 
         @functools.wraps(function)
@@ -130,7 +146,7 @@ def entry(function: Callable[P, R]) -> Callable[P, R]:
                 return function(*args, **kwargs)
 
         return plain
-    dispatcher = numba.njit(function, nogil=True, **_OPTIONS)
+    dispatcher = numba.njit(function, nogil=True, **options, **_OPTIONS)
     source = Path(inspect.getfile(function))
     if source.is_file():  # not what is typed in a notebook
         # numba looks only at the file of the function itself; this name makes an edit elsewhere visible.

@@ -8,7 +8,7 @@ What runs on board is in `kernel.onboard.robot`; its functions get a `Robot`, an
 from __future__ import annotations
 
 from fovconn_env import layout
-from fovconn_env.kernel.jit import entry, kernel, stage, view
+from fovconn_env.kernel.jit import kernel, large_entry, stage, view
 from fovconn_env.kernel.maths import random
 from fovconn_env.kernel.maths.geometry import clearance, headroom
 from fovconn_env.kernel.onboard import power_iteration, relative_yaw, robot
@@ -36,7 +36,7 @@ KINEMATIC, QUADROTOR = range(2)  # scenarios.SWITCHES["dynamics"]
 bytes_per_beats, bytes_per_table = kernel(layout.bytes_per_beats), kernel(layout.bytes_per_table)
 
 
-@entry
+@large_entry
 def run(state, world, scratch, params, actions, mask, warm_ticks, worlds):
     """Advance worlds by a step of actions (B, N, 4); with warm_ticks > 0, begin an episode in the masked (B,) ones.
 

@@ -56,7 +56,7 @@ def test_a_long_one_is_one_line(heard, monkeypatch):
     assert heard.any.wait(60)
     level, text = heard.lines[0]
     assert level == "WARNING"
-    assert text.startswith("compiling fovconn_env.a: up to half a minute on a free core, once")
+    assert text.startswith("compiling fovconn_env.a: about 15 s on a free core, once")
     with event.install_listener("numba:compile", announcement):
         jit.formula(lambda x: x + 2)(1)
     assert len(heard.lines) == 1

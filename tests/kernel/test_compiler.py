@@ -78,9 +78,10 @@ def test_the_versions_tested_are_supported():
     assert compiler.is_supported()
 
 
-@pytest.mark.parametrize("name", ["NativeLowering", "_Part"])
+@pytest.mark.parametrize("name", ["NativeLowering", "_Large", "_Part", "_Typing"])
 def test_other_internals_are_noticed(name, monkeypatch, caplog):
-    monkeypatch.setattr(compiler, name, object)
+    users = {"_Large": compiler._LargeCompiler, "_Part": compiler._PartCompiler}
+    monkeypatch.setattr(users.get(name, compiler), "library_class" if name in users else name, object)
     with caplog.at_level(logging.DEBUG, "fovconn_env"):
         assert not compiler.is_supported.__wrapped__()
     assert "numba's own way" in caplog.text

@@ -96,7 +96,7 @@ def compare_speed(
     }
     with ExitStack() as stack:
         trees = [stack.enter_context(running(tree, TIME, arguments)) for tree in (HERE, baseline)]
-        progress("loading (compiles once, half a minute)", 0, 1)
+        progress("loading (compiles once, 15 s)", 0, 1)
         plans, _ = [tree.read() for tree in trees]
         sizes = {key: _size(trees, key, effort.seconds) for key, _ in plans}
         each: dict[str, list[float]] = {key: [] for key, _ in plans}

@@ -42,7 +42,7 @@ def command(
         from fovconn_env.training.play.app import App
     except ImportError as missing:
         raise missing_package("play", missing) or missing from missing
-    with err.status("loading (compiles once, half a minute)"):
+    with err.status("loading (compiles once, 15 s)"):
         Session(scenario_name, policy, seed, changes=changes).step()  # loads the kernels, off the record
         session = Session(scenario_name, policy, seed, changes=changes, record=recording_file)
     try:

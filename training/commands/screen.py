@@ -74,7 +74,7 @@ def progress() -> Iterator[Progress]:
 
 def warm_up(bar: Progress, chosen: Scenario, policy: str) -> None:
     """Load or compile the kernels under a line that says so."""
-    task = bar.add_task("loading (compiles once, half a minute)", total=None)
+    task = bar.add_task("loading (compiles once, 15 s)", total=None)
     for _ in itertools.islice(rollout(find_policy(policy), chosen, [0], observers=[Meter()]), 2):
         pass  # the reset, and one step
     bar.update(task, total=1, completed=1, description="loaded")

@@ -195,7 +195,7 @@ def _train(name: str, given: Mapping[str, Any]) -> None:
     target = given["folder"] or OUT / name
     check_folder(target)
     with progress() as bar:
-        task = bar.add_task("loading (compiles once, half a minute)", total=1.0)
+        task = bar.add_task("loading (compiles once, 15 s)", total=1.0)
         best = train(
             getattr(module, trainer.algorithm)(flown, given["seed"], hyper, network, **arguments),
             budget,
