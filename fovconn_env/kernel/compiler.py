@@ -10,6 +10,7 @@ This needs internals of numba. Where they differ, all is compiled in numba's own
 from __future__ import annotations
 
 import functools
+import gc
 import logging
 from types import SimpleNamespace
 from typing import Any
@@ -172,3 +173,13 @@ class _PartCompiler(_Compiler):
 
 class _LargeCompiler(_Compiler):
     library_class = _Large
+
+    def compile_extra(self, func: Any) -> Any:
+        """Compile without collecting garbage: that would take an eighth of the time, and free 0.1 GiB."""
+        collects = gc.isenabled()
+        gc.disable()
+        try:
+            return super().compile_extra(func)
+        finally:
+            if collects:
+                gc.enable()

@@ -1,5 +1,7 @@
 """What only compiled code calls is compiled as a part of its caller; where numba cannot, in numba's own way."""
 
+import contextlib
+import gc
 import logging
 import math
 
@@ -72,6 +74,27 @@ def test_a_function_of_others_may_call_parts():
     _, (norm, total, _) = chain()
     value = numba.njit(lambda values: total(values) + norm(3.0, 4.0))(VALUES)
     assert value == pytest.approx(np.hypot(VALUES, 1.0).sum() + 5.0, rel=1e-14)
+
+
+@pytest.mark.parametrize("collects", [True, False])
+@pytest.mark.parametrize("fails", [True, False])
+def test_garbage_is_collected_again_after_long_code(fails, collects, monkeypatch):
+    seen = []
+
+    def compile_extra(*_):
+        seen.append(gc.isenabled())
+        return 1 / (not fails)
+
+    monkeypatch.setattr(compiler.CompilerBase, "compile_extra", compile_extra)
+    large = object.__new__(compiler._LargeCompiler)
+    try:
+        (gc.enable if collects else gc.disable)()
+        with pytest.raises(ZeroDivisionError) if fails else contextlib.nullcontext():
+            large.compile_extra(None)
+        assert seen == [False]
+        assert gc.isenabled() == collects
+    finally:
+        gc.enable()
 
 
 def test_the_versions_tested_are_supported():
