@@ -188,6 +188,7 @@ class Scratch(NamedTuple):
     order: np.ndarray  # (N,) uint32, all robots, see camera.broad_phase
     near: np.ndarray  # (N N, 2) uint32, the pairs to look at
     nearest: np.ndarray  # (N,) uint32, a robot's neighbours, see observation.sort_present
+    active: np.ndarray  # (N, N) bool, see camera.find_active
     row: np.ndarray  # (N N,) uint32, rows of the CSR list of contacts, see camera.build_contacts
     col: np.ndarray  # (N N,) uint32, their columns
     indptr: np.ndarray  # (N + 1,) int64, where each row starts

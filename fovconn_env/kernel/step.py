@@ -16,7 +16,13 @@ from fovconn_env.kernel.onboard.messages import Message, Outbox, Round
 from fovconn_env.kernel.onboard.power_iteration import set_estimate
 from fovconn_env.kernel.onboard.robot import Robot
 from fovconn_env.kernel.prefetch import prefetch
-from fovconn_env.kernel.world.camera import broad_phase, build_contacts, measure_relative_position, update_pairs
+from fovconn_env.kernel.world.camera import (
+    broad_phase,
+    build_contacts,
+    find_active,
+    measure_relative_position,
+    update_pairs,
+)
 from fovconn_env.kernel.world.faults import apply_faults, clear_faults, mask_pairs
 from fovconn_env.kernel.world.kinematics import cache_half_turn, reset_kinematic, set_command, step_kinematic
 from fovconn_env.kernel.world.odometry import measure_ego_motion
@@ -58,7 +64,8 @@ def run(state, world, scratch, params, actions, mask, warm_ticks, worlds):
         else:
             start_robots(state, b, p)  # velocity, what is on board <- pose
         clear_traffic(infos)
-        build_contacts(state.pair[b], scratch.row, scratch.col, scratch.indptr, p)
+        find_active(state.pair[b], scratch.active, p)
+        build_contacts(scratch.active, scratch.row, scratch.col, scratch.indptr)
         ticks = p.ticks if moves else warm_ticks
         for tick in range(ticks):
             if moves:
@@ -247,8 +254,8 @@ def update_true_pairs(state, world, scratch, b, p):
     """Bring the truth about pairs up to date, and the list of contacts where it changes."""
     bodies, pairs, row, col, indptr = state.body[b], state.pair[b], scratch.row, scratch.col, scratch.indptr
     count = broad_phase(bodies, scratch.order, row, col, indptr[bodies.shape[0]], scratch.near, p)
-    if update_pairs(bodies, pairs, scratch.near, count, world.piece[b], world.vertex[b], p):
-        build_contacts(pairs, row, col, indptr, p)
+    if update_pairs(bodies, pairs, scratch.active, scratch.near, count, world.piece[b], world.vertex[b], p):
+        build_contacts(scratch.active, row, col, indptr)
 
 
 @stage

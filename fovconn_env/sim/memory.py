@@ -56,6 +56,7 @@ def scratch(n_agents: int) -> records.Scratch:
         order=np.arange(n, dtype=np.uint32),
         near=np.empty((n * n, 2), np.uint32),
         nearest=np.empty(n, np.uint32),
+        active=np.empty((n, n), bool),
         row=np.empty(n * n, np.uint32),
         col=np.empty(n * n, np.uint32),
         indptr=np.empty(n + 1, np.int64),

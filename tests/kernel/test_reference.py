@@ -97,8 +97,8 @@ def test_gradient_is_the_papers_formula(kind):
 
 # ------------------------------------------------------------------------------------------------------- camera
 @entry
-def look_at(bodies, pairs, near, count, piece, vertex, p):
-    return camera.update_pairs(bodies, pairs, near, count, piece, vertex, p[0])
+def look_at(bodies, pairs, active, near, count, piece, vertex, p):
+    return camera.update_pairs(bodies, pairs, active, near, count, piece, vertex, p[0])
 
 
 @entry
@@ -107,13 +107,18 @@ def list_near(bodies, order, who, whom, contacts, near, p):
 
 
 @entry
-def muster(pairs, who, whom, first, p):
-    camera.build_contacts(pairs, who, whom, first, p[0])
+def mark(pairs, active, p):
+    camera.find_active(pairs, active, p[0])
+
+
+@entry
+def muster(active, who, whom, first):
+    camera.build_contacts(active, who, whom, first)
 
 
 def look(bodies, pairs, piece, vertex, p):
     near = np.argwhere(np.triu(np.ones(pairs.shape, bool), 1)).astype(np.uint32)
-    return look_at(bodies, pairs, near, len(near), piece, vertex, p)
+    return look_at(bodies, pairs, np.zeros(pairs.shape, bool), near, len(near), piece, vertex, p)
 
 
 @entry
@@ -167,7 +172,9 @@ def test_a_large_team_is_looked_at_without_visiting_all_pairs(n):
     pairs, reference = np.zeros((n, n), records.PAIR), np.zeros((n, n), records.PAIR)
     order, near, first = np.arange(n, dtype=np.uint32), np.zeros((n * n, 2), np.uint32), np.zeros(n + 1, np.int64)
     who, whom = np.zeros(n * n, np.uint32), np.zeros(n * n, np.uint32)
-    muster(pairs, who, whom, first, params)
+    active, marked = np.zeros((2, n, n), bool)
+    mark(pairs, active, params)
+    muster(active, who, whom, first)
     speeds, most, woken = rng.uniform(-6, 6, (2, n)), 0, 0
     rest = int(params["rest_ticks"][0])
     for tick in range(few(400, 30)):
@@ -180,8 +187,13 @@ def test_a_large_team_is_looked_at_without_visiting_all_pairs(n):
         listed = {(i, j) for i, j in near[:count].tolist()}
         assert len(listed) == count
         assert all(i < j for i, j in listed)
-        if look_at(bodies, pairs, near, count, *NOTHING, params):
-            muster(pairs, who, whom, first, params)
+        before = active.copy()
+        changed = look_at(bodies, pairs, active, near, count, *NOTHING, params)
+        mark(pairs, marked, params)
+        assert (active == marked).all()
+        assert changed == (active != before).any()
+        if changed:
+            muster(active, who, whom, first)
             woken += tick > rest
         most = max(most, count if tick > rest else 0)
         look(again, reference, *NOTHING, params)

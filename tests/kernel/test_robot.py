@@ -16,7 +16,7 @@ from fovconn_env.kernel.maths import random
 from fovconn_env.kernel.onboard import robot
 from fovconn_env.kernel.onboard.messages import Message, Outbox, Round
 from fovconn_env.kernel.onboard.robot import Robot
-from fovconn_env.kernel.world.camera import build_contacts, measure_relative_position
+from fovconn_env.kernel.world.camera import build_contacts, find_active, measure_relative_position
 from fovconn_env.kernel.world.odometry import measure_ego_motion
 from fovconn_env.kernel.world.operator import update_stick
 from fovconn_env.kernel.world.radio import draw_losses
@@ -159,7 +159,8 @@ def nature(task, state, world, own, params, actions, tick):
             step.set_commands(bodies, actions[0], episode, p)
         if tick >= 0:
             step.step_dynamics(bodies, state.flight[0], episode, p)
-        build_contacts(pairs, own.row, own.col, own.indptr, p)
+        find_active(pairs, own.active, p)
+        build_contacts(own.active, own.row, own.col, own.indptr)
         step.update_true_pairs(state, world, own, 0, p)
         if tick >= 0 and world.fault.shape[1] > 0:
             now = (episode.step * p.ticks + tick + 1) * p.tick

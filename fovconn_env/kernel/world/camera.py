@@ -16,10 +16,10 @@ SMALL = 16  # robots up to which it is faster to visit all pairs
 
 
 @kernel
-def update_pairs(bodies, pairs, near, count, piece, vertex, p):
+def update_pairs(bodies, pairs, active, near, count, piece, vertex, p):
     """Update the truth of the first `count` pairs of `near`: distance (m), cosine a_ij, blocked, seen, linked.
 
-    Returns whether a pair became idle or active, so that the list of `build_contacts` is out of date.
+    Returns whether a pair became idle or active, so that the list of `build_contacts` is out of date; `active` is not.
     """
     changed, obstructed = False, p.occlusion and piece.shape[0] > 0 and piece[0].count > 0
     for i in range(bodies.shape[0]):
@@ -50,6 +50,7 @@ def update_pairs(bodies, pairs, near, count, piece, vertex, p):
         idle_ticks = 0 if linked else min(ij.idle_ticks + 1, p.rest_ticks)
         changed = changed | ((idle_ticks == p.rest_ticks) != (ij.idle_ticks == p.rest_ticks))
         ij.idle_ticks = ji.idle_ticks = idle_ticks
+        active[i, j] = active[j, i] = idle_ticks < p.rest_ticks
     for i in range(bodies.shape[0]):
         if bodies[i].nearest >= p.d_max:
             bodies[i].nearest = least_separation(bodies, i)  # the nearest may be one that was not listed
@@ -114,17 +115,27 @@ def least_separation(bodies, i):
 
 
 @kernel
-def build_contacts(pairs, row, col, indptr, p):
-    """CSR list of the pairs linked within the last `rest_ticks`; nothing on board changes for other pairs.
+def find_active(pairs, active, p):
+    """Mark in `active` (N, N) the pairs linked within the last `rest_ticks`; `update_pairs` keeps the marks."""
+    n = pairs.shape[0]
+    for i in range(n):
+        for j in range(n):
+            active[i, j] = (j != i) & (pairs[i, j].idle_ticks < p.rest_ticks)
 
-    Robot i's contacts, in ascending order, are col[indptr[i] : indptr[i + 1]]; row repeats i as often.
+
+@kernel
+def build_contacts(active, row, col, indptr):
+    """CSR list of the active pairs; nothing on board changes for other pairs.
+
+    Robot i's contacts, in ascending order, are col[indptr[i] : indptr[i + 1]]; row repeats i as often. The marks of all
+    pairs lie closer together than their records.
     """
-    n, count = pairs.shape[0], 0
+    n, count = active.shape[0], 0
     for i in range(n):
         indptr[i] = count
         for j in range(n):
             row[count], col[count] = i, j
-            count += j != i and pairs[i, j].idle_ticks < p.rest_ticks
+            count += active[i, j]
     indptr[n] = count
 
 
