@@ -9,6 +9,7 @@ another file. Here each compiled function and signature is a file of its own, wr
 # (numba.core.config fills itself from the environment)
 from __future__ import annotations
 
+import contextlib
 import getpass
 import hashlib
 import multiprocessing
@@ -18,6 +19,7 @@ import platform
 import stat
 import sys
 import tempfile
+import time
 import uuid
 import warnings
 from collections.abc import Callable, Iterator
@@ -33,8 +35,14 @@ from numba.core import config
 from numba.core.caching import Cache, CompileResultCacheImpl
 from numba.core.serialize import dumps
 
+try:
+    import fcntl
+except ImportError:  # on Windows; processes do not wait for each other there
+    fcntl = None
+
 _VERSIONS = (sys.implementation.cache_tag, platform.system(), numba.__version__, llvmlite.__version__, np.__version__)
 _DIGEST = hashlib.sha256().digest_size  # bytes at the start of a file
+LONGEST = 120.0  # s that one process waits for another
 _warned = False
 
 
@@ -64,6 +72,17 @@ class DiskCache(Cache):
         """The folder that is looked into first."""
         folder = next(cache_folders(), None)
         return str(folder / self._key) if folder else None
+
+    @contextlib.contextmanager
+    def turn(self, sig: Any, target_context: Any) -> Iterator[None]:
+        """Hold this to compile a signature: of processes that miss it, one compiles and the others wait to load it."""
+        identity = self._identify(sig, target_context.codegen())
+        files = [self._file(folder, identity) for folder in cache_folders()]
+        with contextlib.ExitStack() as held:
+            if self._enabled and not any(file.exists() for file in files):
+                for file in files[:1]:
+                    _lock(file, held)
+            yield
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled code for a signature, None if there is none, or none that is whole."""
@@ -161,6 +180,25 @@ def _write(file: Path, data: bytes) -> None:
         part.replace(file)
     finally:
         part.unlink(missing_ok=True)
+
+
+def _lock(file: Path, held: contextlib.ExitStack) -> None:
+    """Wait until a file is there, or until no other process makes it; it is locked then, as long as `held`.
+
+    A process that is killed gives the lock back; after `LONGEST`, and where nothing can be locked, all may make it.
+    """
+    end, lock = time.monotonic() + LONGEST, file.with_suffix(".lock")
+    if fcntl is None:
+        return
+    with contextlib.suppress(OSError):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        handle = held.enter_context(lock.open("ab"))
+        held.callback(lock.unlink, missing_ok=True)
+        while not file.exists() and time.monotonic() < end:
+            try:
+                return fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                time.sleep(0.05)
 
 
 def _warn(why: str) -> None:

@@ -22,6 +22,7 @@ import numba
 import numpy as np
 from numba import types
 from numba.core import config, event
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 
 from fovconn_env.kernel.cache import DiskCache
@@ -101,6 +102,14 @@ def _inner(dispatcher: Any) -> Any:
     return dispatcher
 
 
+class _Entry(CPUDispatcher):
+    """A compiled function that Python calls; of several processes, one compiles it and the others wait for it."""
+
+    def compile(self, sig: Any) -> Any:
+        with global_compiler_lock, self._cache.turn(sig, self.targetctx):  # threads first, or two wait for each other
+            return super().compile(sig)
+
+
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a function that only compiled code calls. It makes no array."""
     return _inner(numba.njit(function, **_INNER))
@@ -151,7 +160,7 @@ def _entry(function: Callable[P, R], **options: Any) -> Callable[P, R]:
     if source.is_file():  # not what is typed in a notebook
         # numba looks only at the file of the function itself; this name makes an edit elsewhere visible.
         key = source_hash(compiled_files(source))
-        dispatcher._cache = DiskCache(function, source, _place(source), key)
+        dispatcher.__class__, dispatcher._cache = _Entry, DiskCache(function, source, _place(source), key)
     return cast("Callable[P, R]", dispatcher)
 
 

@@ -1,5 +1,6 @@
 """The cache of compiled code notices an edit in any file that holds some, and never decides whether or what runs."""
 
+import fcntl
 import importlib.util
 import os
 import re
@@ -9,8 +10,10 @@ import sys
 import threading
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from numba.core.errors import TypingError
 
 from fovconn_env.kernel import cache
 from fovconn_env.kernel.jit import compiled_files, source_hash
@@ -126,7 +129,8 @@ def law(tmp_path, monkeypatch):
 
 
 def files(folder):
-    return sorted(file for file in folder.rglob("*") if file.is_file())
+    """Without Python's own, which any process may write at any time."""
+    return sorted(file for file in folder.rglob("*") if file.is_file() and ".pyc" not in file.name)
 
 
 pytestmark = pytest.mark.skipif(not JIT, reason="nothing is compiled")
@@ -242,6 +246,57 @@ def test_many_at_once_write_whole_files(law, tmp_path):
     assert seen
     assert None not in seen
     assert files(tmp_path / "cache") == [file]
+
+
+# ----------------------------------------------------------------------------------------------- several processes
+@pytest.fixture
+def other(law, tmp_path):
+    """Another process that compiles the same code: its lock, what it then writes, and where."""
+    law()
+    [file] = files(tmp_path / "cache")
+    data = file.read_bytes()
+    file.unlink()
+    with file.with_suffix(".lock").open("ab") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield SimpleNamespace(lock=lock, file=file, data=data)
+
+
+def test_one_process_compiles_and_the_others_load_it(law, other, tmp_path, monkeypatch):
+    monkeypatch.setattr(cache.time, "sleep", lambda _: cache._write(other.file, other.data))
+    assert law() == (2.0, True)
+    assert files(tmp_path / "cache") == [other.file]
+
+
+def test_after_a_process_that_was_killed_another_compiles(law, other, tmp_path, monkeypatch):
+    monkeypatch.setattr(cache.time, "sleep", lambda _: other.lock.close())  # as the system does for it
+    assert [law(), law()] == [(2.0, False), (2.0, True)]
+    assert files(tmp_path / "cache") == [other.file]
+
+
+def test_a_process_that_is_stopped_keeps_the_others_for_a_while_only(law, other, monkeypatch):
+    now = iter(range(0, 10**6, 40))
+    monkeypatch.setattr(cache.time, "monotonic", lambda: next(now))
+    monkeypatch.setattr(cache.time, "sleep", lambda _: None)
+    assert law() == (2.0, False)
+    assert 120 < next(now) < 240
+
+
+@pytest.mark.parametrize("problem", ["no such function", "no such lock"])
+def test_where_nothing_can_be_locked_each_compiles(problem, law, other, monkeypatch):
+    system = None
+    if problem == "no such lock":
+        system = SimpleNamespace(LOCK_EX=2, LOCK_NB=4, flock=raising(OSError(37, "No locks available")))
+    monkeypatch.setattr(cache, "fcntl", system)
+    assert law() == (2.0, False)
+
+
+def test_code_that_does_not_compile_gives_the_lock_back(law, tmp_path):
+    namespace, code = {"__name__": "law"}, CODE.replace("2.0 * x", "missing * x")
+    exec(compile(code, str(tmp_path / "real" / "law.py"), "exec"), namespace)
+    with pytest.raises(TypingError, match="missing"):
+        namespace["double"](1.0)
+    assert files(tmp_path / "cache") == []
+    assert law() == (2.0, False)
 
 
 def test_the_package_imports_and_runs_without_a_home(tmp_path):
