@@ -15,7 +15,7 @@ from fovconn_env.baselines.learned.policy import Learned
 from fovconn_env.baselines.policy import scenario_of
 from fovconn_env.scenarios.settings import Camera
 from fovconn_env.sim.simulator import Simulator
-from tests.helpers import SETTLED, few, recorded_actions, small
+from tests.helpers import COARSE, SETTLED, few, recorded_actions, small
 
 pytestmark = pytest.mark.nojit
 
@@ -332,7 +332,7 @@ def test_recovery_of_a_part_goes_home_and_ends_with_time():
 @pytest.mark.parametrize(("kind", "healed"), [(Expert, False), (Recovery, True)])
 def test_recovery_joins_two_pairs(kind, healed):
     """The pairs, linked by what robot 0 sees, drift apart for 4 s, from 6 m to 12 m."""
-    chosen = small(n_agents=4, patience=1e3, leader="none")
+    chosen = small(n_agents=4, patience=1e3, leader="none", **COARSE)
     simulator, policy, yaw = Simulator(chosen), kind(chosen), np.radians([0.0, -135.0, 45.0, -135.0])
     poses = np.stack([[0.0, 0.0, 6.0, 6.0], [0.0, 4.0, 0.0, 4.0], np.full(4, 2.0), yaw], axis=-1)
     observations, apart = simulator.reset(3, poses=poses), np.zeros((1, 4, 4), np.float32)

@@ -13,6 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from numba.core import event
 from numba.core.errors import TypingError
 
 from fovconn_env.kernel import cache
@@ -48,6 +49,7 @@ def load_jit(package):
     spec = importlib.util.spec_from_file_location("jit_of_a_copy", package / "kernel" / "jit.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
+    event.unregister("numba:compile", module.ANNOUNCEMENT)  # or it tells of what other tests compile
     return module
 
 

@@ -19,8 +19,8 @@ from tests.helpers import JIT, differing, few, recorded_actions, small, snapshot
 
 pytestmark = pytest.mark.nojit
 
-AT = 0.26  # s, after the first tick of the sixth step
-WHEN = 5  # index of that step
+WHEN = few(5, 1)  # index of the step in which faults begin
+AT = 0.05 * WHEN + 0.01  # s, after the first tick of that step
 ENDLESS = {"patience": math.inf, "course": Course(settle=0.0)}
 FLIGHTS = {
     "kinematic": {},
@@ -48,7 +48,7 @@ def test_a_fault_changes_nothing_before_it_begins(flight):
     plain = begin(**FLIGHTS[flight])
     others = [begin(Fault(kind=kind, robot=2, at=AT), **FLIGHTS[flight]) for kind in ("camera", "radio", "robot")]
     never = begin(Fault(kind="robot", robot=2, at=100.0), Fault(kind="camera", at=(100.0, 200.0)), **FLIGHTS[flight])
-    for k, action in enumerate(actions(few(10, 7))):
+    for k, action in enumerate(actions(few(10, 3))):
         for simulator in (plain, never, *others):
             simulator.step(action)
         assert set(differing(snapshot(never, 0), snapshot(plain, 0))) == {
@@ -72,7 +72,7 @@ def test_a_dead_camera_sees_nobody_and_is_seen(flight):
     plain = begin(**FLIGHTS[flight])
     blind = begin(Fault(kind="camera", robot=2, at=AT), **FLIGHTS[flight])
     watched = watching = 0
-    for k, action in enumerate(actions(few(20, 8))):
+    for k, action in enumerate(actions(few(20, 4))):
         plain.step(action)
         blind.step(action)
         pair, whole = blind.state.pair[0], plain.state.pair[0]
@@ -112,7 +112,7 @@ def test_a_dead_radio_neither_sends_nor_hears(flight):
     plain = begin(**FLIGHTS[flight])
     mute = begin(Fault(kind="radio", robot=2, at=AT), **FLIGHTS[flight])
     linked = 0
-    for k, action in enumerate(actions(few(20, 8))):
+    for k, action in enumerate(actions(few(20, 4))):
         plain.step(action)
         mute.step(action)
         if k < WHEN:
@@ -165,11 +165,11 @@ def test_who_sees_a_silent_robot_goes_on_measuring_it():
 
 @pytest.mark.parametrize("kind", ["camera", "radio", "robot"])
 def test_pairs_that_sleep_have_nothing_to_do(kind):
-    faults = Fault(kind=kind, robot=1, at=AT, lasts=1.0), Fault(kind=kind, robot=3, at=0.5)
+    faults = Fault(kind=kind, robot=1, at=AT, lasts=1.0), Fault(kind=kind, robot=3, at=AT + 0.24)
     sleepy = begin(*faults, n_agents=6)
     awake = copy.deepcopy(sleepy)
     awake.params["rest_ticks"] = 10**9
-    for action in actions(few(300, 12), 6):
+    for action in actions(few(300, 8), 6):
         sleepy.step(action)
         awake.step(action)
         assert set(differing(snapshot(sleepy, 0), snapshot(awake, 0))) <= {"pair.idle_ticks", "pair.cosine"}
@@ -183,7 +183,7 @@ def test_a_dead_robot(flight):
     """It stays where it is whatever it is told, sees, says and observes nothing, and is not one of the team."""
     dead = begin(Fault(kind="robot", robot=2, at=AT), **FLIGHTS[flight])
     other = copy.deepcopy(dead)
-    for k, action in enumerate(actions(few(20, 8))):
+    for k, action in enumerate(actions(few(20, 4))):
         before = dead.poses()[0, 2]
         dead.step(action)
         action = action.copy()
@@ -259,7 +259,7 @@ def test_all_robots_may_die():
 
 def test_a_dead_leader_is_pulled_in_vain():
     simulator = begin(Fault(robot=0, at=AT))
-    for action in actions(12):
+    for action in actions(few(12, 4)):
         simulator.step(action)
     at, info = simulator.poses()[0, 0], simulator.infos[0]
     assert any(simulator.state.episode[f"stick_{axis}"][0] != 0 for axis in "xyz")
@@ -271,17 +271,18 @@ def test_a_dead_leader_is_pulled_in_vain():
 @pytest.mark.parametrize("flight", FLIGHTS)
 @pytest.mark.parametrize("kind", ["camera", "radio", "robot"])
 def test_what_lasts_for_a_while_works_again(kind, flight):
-    simulator = begin(Fault(kind=kind, robot=2, at=AT, lasts=0.33), **FLIGHTS[flight])
+    again = few(11, 3)  # index of the step in which it ends, after the fourth tick
+    simulator = begin(Fault(kind=kind, robot=2, at=AT, lasts=0.05 * again + 0.04 - AT), **FLIGHTS[flight])
     back, sent = False, 0.0
-    for k, action in enumerate(actions(few(40, 16))):
+    for k, action in enumerate(actions(few(40, 8))):
         before = simulator.poses()[0, 2]
         simulator.step(action)
         if simulator.over[0]:
             break
         body = simulator.state.body[0, 2]
         works = body["alive"] and body["sees"] and body["talks"]
-        assert works == (k < WHEN or k >= 11)  # 0.58 s is in the twelfth step
-        if k > 12:
+        assert works == (k < WHEN or k >= again)
+        if k > again + 1:
             back = back or simulator.state.sight["seen"][0, 2].any()
             sent += simulator.infos["bytes_sent"][0, 2]
             assert (simulator.poses()[0, 2] != before).any()
@@ -293,7 +294,7 @@ def test_what_lasts_for_a_while_works_again(kind, flight):
 
 def test_faults_of_one_robot_add_up():
     simulator = begin(
-        *(Fault(kind=kind, robot=2, at=AT) for kind in ("camera", "radio")),
+        *(Fault(kind=kind, robot=2, at=0.26) for kind in ("camera", "radio")),
         Fault(kind="camera", robot=2, at=0.0, lasts=0.1),
     )
     flags = []
@@ -301,7 +302,7 @@ def test_faults_of_one_robot_add_up():
         simulator.step(action)
         body = simulator.state.body[0, 2]
         flags.append((bool(body["alive"]), bool(body["sees"]), bool(body["talks"])))
-    assert flags == [(True, k in (1, 2, 3, 4), k < WHEN) for k in range(7)]
+    assert flags == [(True, k in (1, 2, 3, 4), k < 5) for k in range(7)]
 
 
 # ------------------------------------------------------------------------------------------------------- what is told

@@ -10,7 +10,7 @@ from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios.settings import Airframe, Camera, Course
 from fovconn_env.sim.simulator import Simulator
 from tests import reference as ref
-from tests.helpers import few, recorded_actions, small
+from tests.helpers import COARSE, few, recorded_actions, small
 
 pytestmark = pytest.mark.nojit
 
@@ -89,7 +89,7 @@ def test_infos(case):
 @pytest.mark.parametrize("patience", [0.0, 0.3, 1.0, math.inf])
 def test_patience(patience):
     """Disconnected: true lambda2 at most lambda2_min at the end of the steps of more than `patience` seconds."""
-    simulator = Simulator(small(patience=patience, max_cycles=80, collision_robot=1e-3))
+    simulator = Simulator(small(patience=patience, max_cycles=80, collision_robot=1e-3, **COARSE))
     simulator.reset(3)
     apart = np.zeros((1, 4, 4))
     apart[0, :, 0] = 1.0, -1.0, 0.9, -0.9
@@ -107,7 +107,7 @@ def test_patience(patience):
 def test_operator_follows_the_course():
     """Waits, pulls straight at the way point, pauses there, and is done at the last one."""
     course = Course(settle=0.5, legs=3, leg=1.0, pause=0.3, goal_radius=0.3)
-    simulator = Simulator(small(course=course, patience=math.inf, max_cycles=400))
+    simulator = Simulator(small(course=course, patience=math.inf, max_cycles=400, **COARSE))
     simulator.reset(5)
     scenario, state = simulator.scenario, simulator.state
     at, wait, phases = 0, 0.0, []
