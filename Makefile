@@ -14,9 +14,14 @@ INSTALL := -m pip install -qq --disable-pip-version-check --no-compile --no-buil
 PIP := $(BIN)/python $(INSTALL) -c constraints.txt
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
+# Where this is set, as in many containers, each of the suite's hundred processes would compile all that it imports.
+export PYTHONDONTWRITEBYTECODE :=
+
 .DEFAULT_GOAL := help
-.PHONY: help demo results docs test test-fast test-integrations fuzz lint format dist clean
+.PHONY: help demo results docs test suite suite-nojit test-fast test-integrations fuzz lint format dist clean
+ifndef BESIDE
 .NOTPARALLEL:
+endif
 
 help:  ## list the targets
 	@$(PYTHON) -c 'import re; [print(f"  make {name:17} {what}") for name, what in re.findall("(?m)^([a-z-]+):.*## (.*)$$", open("Makefile", encoding="utf-8").read())]'
@@ -25,9 +30,14 @@ help:  ## list the targets
 demo: $(VENV)/installed-demo  ## the paper's experiment: a table here, figures and an animation in out/demo/
 	$(BIN)/fovconn demo $(ARGS)
 
-test: $(VENV)/installed-dev  ## the whole suite, then the part of it that also runs without the JIT
+test: $(VENV)/installed-dev  ## the whole suite, and beside it the part that also runs without the JIT
+	@$(MAKE) --no-print-directory --keep-going -j2 BESIDE=yes suite suite-nojit
+
+suite:
 	$(PYTEST)
-	NUMBA_DISABLE_JIT=1 $(PYTEST) -m nojit
+
+suite-nojit:
+	NUMBA_DISABLE_JIT=1 $(PYTEST) -m nojit >$(VENV)/nojit.log 2>&1; status=$$?; cat $(VENV)/nojit.log; exit $$status
 
 test-fast: $(VENV)/installed-dev  ## the suite without its long statistics
 	$(PYTEST) -m "not slow" $(ARGS)

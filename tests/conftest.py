@@ -10,6 +10,11 @@ os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # windows of the render mode 
 os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
 
 
+def pytest_collection_modifyitems(items):
+    """What takes longest comes first, so that no process is left with it at the end."""
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+
+
 @pytest.fixture
 def fovconn(monkeypatch, capsys, tmp_path):
     """Run the command in this process: status, stdout, stderr."""
