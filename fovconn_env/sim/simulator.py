@@ -84,6 +84,7 @@ class Simulator:
         self.n_threads = min(n_threads or available_cores(), max(n_worlds // WORLDS_PER_SLICE, 1))
         self._scratch = scratch(scenario.n_agents)  # of this thread
         self._called: tuple[Any, Any, Any] = (None, None, None)  # state, world, and the code that was compiled for them
+        self._privileged_bounds: tuple[np.ndarray, np.ndarray] | None = None  # they take longer than what is bounded
         self.closed = False
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
         warm = scenario.warmup if scenario.lambda2 in ("power", "flooding") else 0.0
@@ -175,10 +176,13 @@ class Simulator:
 
     def privileged_bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Bounds of `privileged`, (S,) float32 each."""
-        scales = self.scenario.scales()
-        robot, team = layout.bounds(layout.STATE, scales), layout.bounds(layout.STATE_TEAM, scales)
-        low, high = (np.concatenate([np.tile(a, self.scenario.n_agents), b]) for a, b in zip(robot, team, strict=True))
-        return low, high
+        if self._privileged_bounds is None:
+            scales, n = self.scenario.scales(), self.scenario.n_agents
+            robot, team = layout.bounds(layout.STATE, scales), layout.bounds(layout.STATE_TEAM, scales)
+            low, high = (np.concatenate([np.tile(a, n), b]) for a, b in zip(robot, team, strict=True))
+            low.flags.writeable = high.flags.writeable = False  # they are handed out
+            self._privileged_bounds = low, high
+        return self._privileged_bounds
 
     # ------------------------------------------------------------------------------------------------- actions
     def reset(

@@ -1,5 +1,7 @@
 """What the paper's controller, the simple laws and the search are worth; the estimators keep to their bars."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -10,10 +12,13 @@ from fovconn_env.training.evaluation import evaluate, summary
 pytestmark = pytest.mark.slow
 
 
+evaluated = functools.cache(evaluate)  # several tests compare with the expert's flights
+
+
 def fly(policy, name, seeds, **changes):
     """The summary of flights from these seeds, or from so many."""
     seeds = range(seeds) if isinstance(seeds, int) else seeds
-    report = summary(evaluate(policy, scenario(name, **changes), seeds))
+    report = summary(evaluated(policy, scenario(name, **changes), tuple(seeds)))
     figures = {key: value for key, value in report.items() if isinstance(value, float)}
     print(policy, name, changes, {key: round(value, 4) for key, value in figures.items()})  # pytest -rP shows it
     return report
