@@ -52,6 +52,21 @@ def test_same_numbers_on_any_number_of_processes(blocks):
     assert told[-1] == len(CELLS) * len(seeds)
 
 
+def test_a_scenario_is_told_of_once_when_it_is_complete(blocks, tmp_path):
+    def told(seeds, **options):
+        groups = []
+        results = fly_cells(CELLS, seeds, folder=tmp_path, processes=1, complete=groups.append, **options)
+        assert sorted(group[0].scenario.name for group in groups) == ["LeaderFollow-v0", "Regroup-v0"]
+        for group in groups:
+            there = [result for result in results if result.scenario == group[0].scenario]
+            for a, b in zip(group, there, strict=True):
+                same(a, b)
+
+    told([4, 0, 7])
+    told([0, 4, 5])  # some are on disk
+    told([0, 5])  # all are
+
+
 def test_files_of_a_scenario_with_any_name_stay_in_their_folder(tmp_path):
     out, cell = tmp_path / "a" / "out", Cell("expert", scenario(TASK, name="../../x/y: ü", max_cycles=2))
     fly_cells([cell], [0], folder=out, recordings=out)

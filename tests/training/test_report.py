@@ -13,12 +13,14 @@ pytest.importorskip("matplotlib")
 pytest.importorskip("jinja2")
 
 from fovconn_env import scenario
+from fovconn_env.errors import SettingError
 from fovconn_env.training.evaluation import evaluate
 from fovconn_env.training.evaluation.comparison import compare
+from fovconn_env.training.evaluation.draft import Draft
 from fovconn_env.training.evaluation.marl_eval import to_marl_eval
 from fovconn_env.training.evaluation.pictures import line_styles
 from fovconn_env.training.evaluation.report import MOST_LOST, _term, lost_table, write_report
-from fovconn_env.training.evaluation.results import record_of
+from fovconn_env.training.evaluation.results import publish, record_of
 from fovconn_env.training.evaluation.statistics import paired_share_difference, share_interval
 from fovconn_env.training.evaluation.tables import (
     FOOTNOTE,
@@ -33,6 +35,7 @@ from tests.test_text import HOSTILE
 HEAD = {"seeds": "0-23", "date": "2026-01-01", "settings": "n_agents=3 | max_cycles<=40"}
 POLICIES = ("expert", "random", "oracle", "expert-no-yaw", "my_own|policy")
 SEEDS = list(range(24))
+RUN = dict.fromkeys(("seconds", "finished", "python", "numpy", "numba"), "")
 VOID = {"area", "base", "br", "col", "embed", "hr", "img", "input", "link", "meta", "source", "track", "wbr"}
 
 
@@ -101,6 +104,35 @@ def of(evaluations, policy, name="LeaderFollow-v0"):
 def column(table, head):
     names, rows = table
     return {row[0]: row[names.index(head)] for row in rows}
+
+
+def test_what_was_made_while_others_flew_is_what_is_made_at_the_end(flown, tmp_path, monkeypatch):
+    monkeypatch.setattr("fovconn_env.training.evaluation.results.run_block", lambda seconds: RUN)
+    policies = ["expert", "random", "oracle"]
+    results = [fake(model, policy, SEEDS) for model in flown.values() for policy in policies]
+    early, late = tmp_path / "early", tmp_path / "late"
+    with Draft(policies, {}, early) as draft:
+        draft.add(results[3:])
+        draft.add(results[:3])
+        early.mkdir()
+        draft.parts()
+        assert list(early.iterdir()) == []
+        monkeypatch.setattr("fovconn_env.training.evaluation.report.draw", None)
+        publish(results, policies, {}, early, 1.0, draft)
+    monkeypatch.undo()
+    monkeypatch.setattr("fovconn_env.training.evaluation.results.run_block", lambda seconds: RUN)
+    late.mkdir()
+    publish(results, policies, {}, late, 1.0)
+    files = {path.relative_to(late): path.read_bytes() for path in late.rglob("*") if path.is_file()}
+    assert len(files) == 4 + 8
+    assert files == {path.relative_to(early): path.read_bytes() for path in early.rglob("*") if path.is_file()}
+
+
+def test_what_went_wrong_in_the_thread_is_raised(flown, tmp_path):
+    with Draft(["expert"], {}, tmp_path) as draft:
+        draft.add([flown["LeaderFollow-v0"]] * 2)
+        with pytest.raises(SettingError, match="twice"):
+            draft.parts()
 
 
 # ------------------------------------------------------------------------------------------------------------- tables

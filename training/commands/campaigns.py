@@ -19,8 +19,12 @@ def fly_all(
     processes: int | None,
     fresh: bool,
     recordings: Path | None = None,
+    complete: Callable[[list[Evaluation]], None] = lambda evaluations: None,
 ) -> tuple[list[Evaluation], float]:
-    """Evaluations of the cells, and the seconds they took, with a progress bar; `recordings` as `fly_cells`."""
+    """Evaluations of the cells, and the seconds they took, with a progress bar.
+
+    recordings, complete: as of `fly_cells`.
+    """
     began, total = time.perf_counter(), len(cells) * len(seeds)
     with progress() as bar:
         warm_up(bar, cells[0].scenario, cells[0].policy)
@@ -34,6 +38,7 @@ def fly_all(
             processes=processes,
             progress=tenths(total, lambda done: bar.update(task, completed=done)),
             say=lambda line: err.print(line, highlight=False, soft_wrap=True, markup=False),
+            complete=complete,
         )
         bar.update(task, completed=total)
     return results, time.perf_counter() - began

@@ -25,6 +25,7 @@ from fovconn_env.training.commands.options import (
 )
 from fovconn_env.training.commands.screen import err, grid, measures, out, say_replaced, say_written, width
 from fovconn_env.training.evaluation.campaign import DEV_SEEDS, check_labels, parse_seeds, recording_file, suite
+from fovconn_env.training.evaluation.draft import Draft
 from fovconn_env.training.evaluation.folders import claimed
 from fovconn_env.training.evaluation.record import Record, to_json, write_json
 from fovconn_env.training.evaluation.results import publish
@@ -85,11 +86,11 @@ def command(
     check_writable({"--json": json_file})
     if recordings is not None:
         check_new("--record", [recording_file(recordings, cell, seed) for cell in cells for seed in numbers], fresh)
-    with claimed(folder):
-        results, seconds = fly_all(cells, numbers, folder, processes, fresh, recordings)
+    with claimed(folder), Draft(chosen, changes, folder) as draft:
+        results, seconds = fly_all(cells, numbers, folder, processes, fresh, recordings, draft.add)
         say_replaced(folder / "results.json")
         with err.status("writing the report"):
-            record, written = publish(results, chosen, changes, folder, seconds)
+            record, written = publish(results, chosen, changes, folder, seconds, draft)
     if len(results) == 1:
         out.print(measures(results[0]))
     else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -83,13 +84,15 @@ def fly_cells(
     processes: int | None = None,
     progress: Callable[[float], None] | None = None,
     say: Callable[[str], None] = lambda line: None,
+    complete: Callable[[list[Evaluation]], None] = lambda evaluations: None,
 ) -> list[Evaluation]:
     """Fly every cell from every seed; results in the order of `cells`, whatever the number of processes.
 
     Episodes are kept in `folder` as they finish, and those found there that come from the same (`Shelf`) are not flown
     again, unless `fresh`. With a folder for `recordings` all are flown, and each is recorded there as
     POLICY@SCENARIO-SEED.npz. `progress` is told the number of episodes done, those found among them; `say` a line for
-    what the user should know: episodes that are not reused and why, a process that died.
+    what the user should know: episodes that are not reused and why, a process that died; `complete` gets the
+    evaluations of a scenario as soon as there are all, while others are flown.
 
     Raises `SettingError` for two policies of one label, a folder that another process uses, and a policy that changes
     while it flies; what the policies raise; `OSError`; and `Interrupted` after Ctrl-C or another signal to end. All
@@ -106,6 +109,15 @@ def fly_cells(
         reused = [_reused(seeds, times) for times in before]
         if line := reuse_line(reused):
             say(line)
+        left = Counter(order.cell.scenario.name for order in orders)
+
+        def tell_complete(scenario: str) -> None:
+            flown = [done[k] for k, cell in enumerate(cells) if cell.scenario.name == scenario]
+            complete([in_order(each.evaluation, seeds) for each in flown if each is not None])
+
+        for name in dict.fromkeys(cell.scenario.name for cell in cells):
+            if not left[name]:
+                tell_complete(name)
         n_kept = len(seeds) * len(cells) - sum(len(order.seeds) for order in orders)
 
         def keep(number: int, result: tuple[Evaluation, Files]) -> None:
@@ -115,6 +127,10 @@ def fly_cells(
                 flown = there.joined(part, files) if there is not None else Flown.of(part, files)
                 done[order.k] = flown
                 shelf.save(order.cell, flown)
+            name = order.cell.scenario.name
+            left[name] -= part.seeds == order.seeds
+            if not left[name]:
+                tell_complete(name)
 
         try:
             if orders:

@@ -49,11 +49,15 @@ class Comparison(NamedTuple):
         return [compared.result for compared in self.compared.values()]
 
 
-def compare(evaluations: Sequence[Evaluation], settings: Mapping[str, Any] | None = None) -> Comparison:
+def compare(
+    evaluations: Sequence[Evaluation],
+    settings: Mapping[str, Any] | None = None,
+    known: Mapping[tuple[str, str], Compared] | None = None,
+) -> Comparison:
     """Set policies against the expert, scenario by scenario and over all of them.
 
-    settings: changed from the presets, for the results. Raises `ValueError` if two policies flew different seeds of a
-    scenario, or one flew a scenario twice.
+    settings: changed from the presets, for the results; known: what was compared before, by scenario and policy. Raises
+    `ValueError` if two policies flew different seeds of a scenario, or one flew a scenario twice.
     """
     by_scenario: dict[str, dict[str, Evaluation]] = {}
     for evaluation in evaluations:
@@ -61,7 +65,7 @@ def compare(evaluations: Sequence[Evaluation], settings: Mapping[str, Any] | Non
         _check(evaluation, group)
         group[evaluation.policy] = evaluation
     compared = {
-        (name, policy): _compared(evaluation, group, settings)
+        (name, policy): (known or {}).get((name, policy)) or _compared(evaluation, group, settings)
         for name, group in by_scenario.items()
         for policy, evaluation in group.items()
     }

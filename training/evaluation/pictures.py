@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator, NullLocator, PercentFormatter
 
 from fovconn_env.flights.metrics import ERRORS, LOST_BY, bin_edges
 from fovconn_env.layout import LOST_PAIR
-from fovconn_env.render.figures.style import DARK, FAINT, FOLLOWERS, LEADER, RC, save, sheet
+from fovconn_env.render.figures.style import DARK, FAINT, FOLLOWERS, LEADER, RC, png, sheet
 from fovconn_env.text import file_name, in_figure
 from fovconn_env.training.evaluation.comparison import EXPERT, MERIT, Compared, Comparison
 from fovconn_env.training.evaluation.statistics import survival
@@ -44,11 +44,12 @@ class LineStyle(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """A file and what it shows."""
+    """A file, what it shows, and what is to be written there."""
 
     path: Path
     title: str
     text: str
+    png: bytes
 
 
 def line_styles(policies: list[str]) -> dict[str, LineStyle]:
@@ -60,7 +61,10 @@ def line_styles(policies: list[str]) -> dict[str, LineStyle]:
 
 @matplotlib.rc_context(RC)
 def draw(comparison: Comparison, names: Mapping[str, str], scenario: str, folder: Path) -> list[Picture]:
-    """Draw all pictures of a scenario into a folder; names: what each of its policies is called, with its mark."""
+    """Draw all pictures of a scenario for a folder, and write none.
+
+    names: what each of its policies is called, with its mark.
+    """
     styles, compared = line_styles(comparison.policies), comparison.on(scenario)
     names = {policy: in_figure(name) for policy, name in names.items()}
     kinds: list[tuple[str, str, str, Callable[..., Figure | None]]] = [
@@ -74,7 +78,7 @@ def draw(comparison: Comparison, names: Mapping[str, str], scenario: str, folder
         figure = make(compared, names, styles)
         if figure is not None:
             path = folder / f"{file_name(scenario)}_{kind}.png"
-            pictures.append(Picture(save(figure, path), title, text))
+            pictures.append(Picture(path, title, text, png(figure)))
     return pictures
 
 

@@ -29,6 +29,7 @@ from fovconn_env.training.evaluation.tables import (
 from fovconn_env.training.evaluation.text import Table, escape, figures, markdown, number
 
 TITLE = "fovconn benchmark"
+PLOTS = "plots"  # folder of the pictures
 ROOT = Path(__file__).resolve().parents[2]
 METRICS = ROOT / "docs" / "metrics.md"
 MOST_LOST = 20  # lost episodes listed
@@ -92,20 +93,34 @@ def write_report(comparison: Comparison, record: Record, folder: Path, head: Map
 
 
 def make_report(
-    comparison: Comparison, record: Record, folder: Path, head: Mapping[str, str]
+    comparison: Comparison,
+    record: Record,
+    folder: Path,
+    head: Mapping[str, str],
+    drawn: Mapping[str, Sequence[Picture]] = {},
 ) -> tuple[dict[Path, str], list[Path]]:
-    """The texts of report.md and report.html, and the pictures that were drawn for them.
+    """The texts of report.md and report.html, and the pictures that were written for them.
 
-    record: the numbers of the comparison; head: what was run, by name, for the top: seeds, versions, date, settings.
+    record: the numbers of the comparison; head: what was run, by name, for the top: seeds, versions, date, settings;
+    drawn: pictures that there are, by scenario; the others are drawn now.
     """
-    plots = folder / "plots"
+    plots = folder / PLOTS
     plots.mkdir(exist_ok=True)
-    sections = [_overview(record), *(_scenario(comparison, record, name, plots) for name in comparison.scenarios)]
+    sections = [_overview(record)]
+    for name in comparison.scenarios:
+        pictures = drawn[name] if name in drawn else draw(comparison, names_on(comparison, record, name), name, plots)
+        sections.append(_scenario(comparison, record, name)._replace(pictures=pictures))
+    write_files({picture.path: picture.png for section in sections for picture in section.pictures})
     address = _link(folder)
     words = "docs/metrics.md" if address else "docs/metrics.md of the project's sources"
     sections.append(Section("Definitions", terms=TERMS, link=(words, address)))
     texts = {folder / "report.md": in_markdown(head, sections, folder), folder / "report.html": in_html(head, sections)}
     return texts, [picture.path for section in sections for picture in section.pictures]
+
+
+def names_on(comparison: Comparison, record: Record, scenario: str) -> dict[str, str]:
+    """What the policies on a scenario are called in pictures."""
+    return {policy: marked(record, policy) for policy in comparison.on(scenario)}
 
 
 def in_markdown(head: Mapping[str, str], sections: Sequence[Section], folder: Path) -> str:
@@ -171,7 +186,7 @@ def _overview(record: Record) -> Section:
     return Section("Overview", lines, tables=[Grid(f"Over {where}", *table, footnotes(table))])
 
 
-def _scenario(comparison: Comparison, record: Record, scenario: str, plots: Path) -> Section:
+def _scenario(comparison: Comparison, record: Record, scenario: str) -> Section:
     count = next(iter(comparison.on(scenario).values())).result.count
     results, differences = scenario_table(record, scenario), difference_table(record, scenario)
     tables = [Grid("Results", *results, footnotes(results))]
@@ -185,8 +200,7 @@ def _scenario(comparison: Comparison, record: Record, scenario: str, plots: Path
         note.append("lambda2_hat, mean over the robots, and |cos| between their v2 and the true one: one step before.")
         tables.append(Grid("Teams that the expert and its variants lost", *lost, note))
     lines = [f"{count} episode{'s' if count > 1 else ''} a policy, all from the same seeds."]
-    names = {policy: marked(record, policy) for policy in comparison.on(scenario)}
-    return Section(scenario, lines, tables=tables, pictures=draw(comparison, names, scenario, plots))
+    return Section(scenario, lines, tables=tables)
 
 
 def _anchor(text: str) -> str:
@@ -204,8 +218,8 @@ def _shown(value: Any) -> Any:
     return printable(value) if type(value) is str else value
 
 
-def _embedded(path: Path) -> str:
-    return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
+def _embedded(png: bytes) -> str:
+    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
 
 
 def _link(folder: Path) -> str:

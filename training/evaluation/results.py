@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
@@ -13,6 +12,7 @@ from fovconn_env.baselines import POLICIES
 from fovconn_env.files import write_files
 from fovconn_env.scenarios.serialize import scenario_to_json
 from fovconn_env.training.evaluation.comparison import Comparison, compare
+from fovconn_env.training.evaluation.draft import Draft, can_draw
 from fovconn_env.training.evaluation.flights import Evaluation, label, reuse_line
 from fovconn_env.training.evaluation.marl_eval import to_marl_eval
 from fovconn_env.training.evaluation.record import Record, about, json_text, run_block, to_json
@@ -26,13 +26,20 @@ class Published(NamedTuple):
 
 
 def publish(
-    results: Sequence[Evaluation], policies: Sequence[str], settings: Mapping[str, Any], folder: Path, seconds: float
+    results: Sequence[Evaluation],
+    policies: Sequence[str],
+    settings: Mapping[str, Any],
+    folder: Path,
+    seconds: float,
+    draft: Draft | None = None,
 ) -> Published:
     """Write results.json, marl-eval.json and the report into a folder: all of them or, after an exception, none.
 
-    policies: as `find_policy` takes them; settings: changed from the presets; seconds: what the flights took.
+    policies: as `find_policy` takes them; settings: changed from the presets; seconds: what the flights took;
+    draft: of the same policies, settings and folder, what was made while they flew.
     """
-    comparison = compare(results, settings)
+    compared, drawn = draft.parts() if draft is not None else ({}, {})
+    comparison = compare(results, settings, compared)
     kinds = {label(policy): about(policy) for policy in policies}
     origin = _origin(results)
     record = record_of(comparison, kinds)._replace(run=run_block(seconds) | origin)
@@ -41,10 +48,10 @@ def publish(
         folder / "marl-eval.json": json_text(to_marl_eval(results)),
     }
     pictures: list[Path] = []
-    if importlib.util.find_spec("matplotlib") is not None:
+    if can_draw():
         from fovconn_env.training.evaluation.report import make_report
 
-        report, pictures = make_report(comparison, record, folder, _head(record, settings, policies) | origin)
+        report, pictures = make_report(comparison, record, folder, _head(record, settings, policies) | origin, drawn)
         texts |= report
     write_files({file: text.encode() for file, text in texts.items()})
     return Published(record, [*texts, *pictures])

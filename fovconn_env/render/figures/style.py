@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -61,12 +62,23 @@ def sheet(width: float, height: float, layout: Literal["constrained"] | None = "
 
 def save(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG and return the path."""
+    with replacing(path) as (part,):
+        _write(figure, part)
+    return path
+
+
+def png(figure: Figure) -> bytes:
+    """What `save` writes."""
+    stream = io.BytesIO()
+    _write(figure, stream)
+    return stream.getvalue()
+
+
+def _write(figure: Figure, to: Path | io.BytesIO) -> None:
     if figure.axes and (engine := figure.get_layout_engine()) is not None:
         engine.execute(figure)  # `savefig` would draw all twice to be sure of the layout
         figure.set_layout_engine(None)
-    with replacing(path) as (part,):
-        figure.savefig(part, dpi=figure.dpi, metadata={"Software": None})
-    return path
+    figure.savefig(to, dpi=figure.dpi, metadata={"Software": None})
 
 
 def names_of(scenario: Scenario) -> list[str]:
