@@ -6,7 +6,8 @@ In README.md and docs/*.md a table stands between `<!-- KIND:NAME -->` and `<!--
 - `results`: a record and one of its tables by the heading it has in the record's page, `results:full LeaderFollow-v0`,
   `results:learned teams`; or `run`, its seeds, date and versions in a line, `results:full run`
 - `five`: five measures of three policies on a scenario, from docs/results/full.json
-- `bench`: `rates`, `bars` or `machine` of docs/benchmark.json, which `fovconn bench --json` writes
+- `bench`: `rates`, `bars` or `machine` of docs/benchmark.json, which `fovconn bench --json` writes; `speed`: `bars` or
+  `machine` of docs/speed.json, with `--baseline`
 - `quickstart`: `spread`, a table, or `line`, a sentence in docs/quickstart.ipynb, of docs/quickstart.json, which
   docs/quickstart_spread.py writes
 - `layout`: a table of `fovconn_env.layout`, or `scales`, what the named bounds are
@@ -66,7 +67,9 @@ _MARKED = re.compile(r"(<!-- (\w+):([\w -]+?) -->\n).*?(<!-- end -->)", re.DOTAL
 def rendered(text: str) -> str:
     """A page with its generated tables made anew."""
     kinds = {"layout": layout_table, "settings": settings_table, "keys": keys_table}
-    kinds |= {"quickstart": quickstart_table, "bench": bench_table, "results": results_table, "five": five_table}
+    kinds |= {"quickstart": quickstart_table, "results": results_table, "five": five_table}
+    for kind, file in (("bench", "benchmark.json"), ("speed", "speed.json")):
+        kinds[kind] = functools.partial(bench_table, file)
     return _MARKED.sub(lambda place: f"{place[1]}\n{kinds[place[2]](place[3])}\n\n{place[4]}", text)
 
 
@@ -146,9 +149,9 @@ def _percents(found: dict[str, float]) -> str:
     return f"{found['kept']:.1%}, {found['success']:.1%}, {found['progress']:.2f}"
 
 
-def bench_table(name: str) -> str:
-    """A Markdown table of the committed benchmark: "rates" or "bars"; or "machine", a line of text."""
-    report = json.loads((ROOT / "docs" / "benchmark.json").read_text("utf-8"))
+def bench_table(file: str, name: str) -> str:
+    """A Markdown table of a committed benchmark: "rates" or "bars"; or "machine", a line of text."""
+    report = json.loads((ROOT / "docs" / file).read_text("utf-8"))
     if name == "machine":
         return f"Measured {report['finished'][:10]} on {machine_line(report)}. {restless(report)}".rstrip()
     return markdown({"rates": rate_table, "bars": bar_table}[name](report))
