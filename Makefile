@@ -95,7 +95,8 @@ $(VENV)/created:
 $(VENV)/installed-demo: pyproject.toml constraints.txt $(VENV)/created
 	@echo "installing the package and what the demo needs (about 20 s) ..."
 	@$(PIP) hatchling editables
-	@$(PIP) -e '.[cli,render]'
+	@$(PIP) -e .
+	@$(BIN)/python -m fovconn_env.baselines & $(PIP) -e '.[cli,render]' && wait $$!  # compiles while pip unpacks
 	@touch $@
 
 $(VENV)/installed-dev: $(VENV)/installed-demo
