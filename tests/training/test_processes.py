@@ -133,6 +133,19 @@ def test_a_process_that_dies_is_named_and_its_flights_are_flown_again(tmp_path):
     assert dict(os.environ) == before
 
 
+def test_what_begins_runs_beside_the_processes_and_an_interruption_of_it_ends_them(tmp_path):
+    beside = []
+
+    def begin():
+        beside.extend(multiprocessing.active_children())
+        raise Interrupted()
+
+    with pytest.raises(Interrupted, match="0 of 2 episodes"):
+        fly_cells([Cell("expert", TASK)], [0, 1], folder=tmp_path, processes=1, begin=begin)
+    assert len(beside) == 1
+    assert multiprocessing.active_children() == []
+
+
 def test_a_process_that_always_dies_ends_the_campaign_with_an_error(tmp_path, monkeypatch):
     monkeypatch.setattr(campaign, "BLOCK", 2)
     cells = [Cell("expert", TASK), mine(tmp_path, "os._exit(7)")]

@@ -27,8 +27,12 @@ def fly_all(
     """
     began, total = time.perf_counter(), len(cells) * len(seeds)
     with progress() as bar:
-        warm_up(bar, cells[0].scenario, cells[0].policy)
-        task = bar.add_task(f"{total} episodes", total=total)
+        task = bar.add_task(f"{total} episodes", total=total, start=False)
+
+        def begin() -> None:
+            warm_up(bar, cells[0].scenario, cells[0].policy)
+            bar.start_task(task)
+
         results = fly_cells(
             cells,
             seeds,
@@ -39,6 +43,7 @@ def fly_all(
             progress=tenths(total, lambda done: bar.update(task, completed=done)),
             say=lambda line: err.print(line, highlight=False, soft_wrap=True, markup=False),
             complete=complete,
+            begin=begin,
         )
         bar.update(task, completed=total)
     return results, time.perf_counter() - began

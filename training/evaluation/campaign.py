@@ -85,6 +85,7 @@ def fly_cells(
     progress: Callable[[float], None] | None = None,
     say: Callable[[str], None] = lambda line: None,
     complete: Callable[[list[Evaluation]], None] = lambda evaluations: None,
+    begin: Callable[[], None] = lambda: None,
 ) -> list[Evaluation]:
     """Fly every cell from every seed; results in the order of `cells`, whatever the number of processes.
 
@@ -92,7 +93,7 @@ def fly_cells(
     again, unless `fresh`. With a folder for `recordings` all are flown, and each is recorded there as
     POLICY@SCENARIO-SEED.npz. `progress` is told the number of episodes done, those found among them; `say` a line for
     what the user should know: episodes that are not reused and why, a process that died; `complete` gets the
-    evaluations of a scenario as soon as there are all, while others are flown.
+    evaluations of a scenario as soon as there are all, while others are flown; `begin` runs while the processes start.
 
     Raises `SettingError` for two policies of one label, a folder that another process uses, and a policy that changes
     while it flies; what the policies raise; `OSError`; and `Interrupted` after Ctrl-C or another signal to end. All
@@ -134,7 +135,8 @@ def fly_cells(
 
         try:
             if orders:
-                _fly(orders, processes or available_cores(), keep, lambda n: progress and progress(n_kept + n), say)
+                n_processes = processes or available_cores()
+                _fly(orders, n_processes, keep, lambda n: progress and progress(n_kept + n), say, begin)
         except Interrupted as signal:
             kept = sum(len(set(seeds) & flown.times.keys()) for flown in done if flown is not None)
             where = f"are kept in {folder}" if folder else "were finished"
@@ -190,6 +192,7 @@ def _fly(
     keep: Callable[[int, tuple[Evaluation, Files]], None],
     progress: Callable[[float], None],
     say: Callable[[str], None],
+    begin: Callable[[], None],
 ) -> None:
     """Fly the orders in processes; a process that dies is named."""
 
@@ -201,8 +204,9 @@ def _fly(
     def died(number: int, how: str) -> None:
         say(f"{name(number)}, ended with {how}; they are flown again")
 
+    told = {"keep": keep, "progress": progress, "died": died, "begin": begin}
     try:
-        run_orders(_fly_order, [tuple(order) for order in orders], processes, keep=keep, progress=progress, died=died)
+        run_orders(_fly_order, [tuple(order) for order in orders], processes, **told)
     except Died as death:
         hint = 'out of memory perhaps, try fewer --processes; a script needs `if __name__ == "__main__":`'
         raise MachineError(f"{name(death.order)}, ended twice with {death.how}: {hint}") from None

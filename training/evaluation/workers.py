@@ -42,16 +42,25 @@ def run_orders(
     keep: Callable[[int, Any], None],
     progress: Callable[[float], None],
     died: Callable[[int, str], None],
+    begin: Callable[[], None] = lambda: None,
 ) -> None:
     """Run `work(watch, *order)` for every order in processes.
 
     `keep` gets the number of each order and its result, also of those that an interruption or a failure breaks off;
-    `progress` the sum of what `watch` was told. An order whose process dies is run once more, after `died` was told.
-    Raises what `work` raises, `Died`, and `Interrupted` after a signal.
+    `progress` the sum of what `watch` was told. `begin` runs while the processes start. An order whose
+    process dies is run once more, after `died` was told. Raises what `work` and `begin` raise, `Died`, and, after a
+    signal, `Interrupted`.
     """
     waiting, deaths, counts = deque(range(len(orders))), Counter[int](), [0.0] * len(orders)
     problem: BaseException | None = None
-    with _Pool(work, min(processes, len(orders))) as pool, noted_interruption() as interruption:
+    with contextlib.ExitStack() as stack:
+        pool = stack.enter_context(_Pool(work, min(processes, len(orders))))
+        with noted_interruption() as early:  # which does not strike between a process and its place in the pool
+            pool.fill()
+        if early:
+            raise Interrupted(number=early.number)
+        begin()
+        interruption = stack.enter_context(noted_interruption())
         while pool.busy or (waiting and problem is None):
             for number, kind, value in pool.messages(orders, waiting if problem is None else deque()):
                 if kind == "progress":
@@ -132,9 +141,8 @@ class _Pool:
 
     def messages(self, orders: Sequence[tuple], waiting: deque[int]) -> Iterator[tuple[int, str, Any]]:
         """Hand out what is waiting, and wait a moment for (number, kind, value) from the workers."""
-        while len(self._workers) < self._size and waiting:
-            self._workers.append(_Worker(self._work))
-            self._hand_out(self._workers[-1], orders, waiting)
+        if waiting:
+            self.fill()
         for worker in self._workers:
             if worker.order is None and waiting:
                 self._hand_out(worker, orders, waiting)
@@ -152,6 +160,11 @@ class _Pool:
         if self._kill.is_set():
             for worker in self._workers:
                 worker.process.kill()
+
+    def fill(self) -> None:
+        """Start processes in the place of those that have died, at first all."""
+        while len(self._workers) < self._size:
+            self._workers.append(_Worker(self._work))
 
     @staticmethod
     def _hand_out(worker: _Worker, orders: Sequence[tuple], waiting: deque[int]) -> None:
