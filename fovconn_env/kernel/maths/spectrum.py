@@ -103,16 +103,24 @@ def factorise(a, shift, size, factor, pivots):
     """
     n, negative = a.shape[0], 0
     for i in range(n):
-        pivot = a[i, i] - shift
-        for j in range(i):
-            total = a[i, j]
+        entries, row = a[i], factor[i]
+        for j in range(0, i - 1, 2):  # two sums at a time: neither waits for the other
+            left, right = factor[j], factor[j + 1]
+            first, second = entries[j], entries[j + 1]
             for k in range(j):
-                total -= factor[i, k] * factor[j, k]
-            factor[i, j] = total  # L_ij D_j for now
+                first -= row[k] * left[k]
+                second -= row[k] * right[k]
+            row[j], row[j + 1] = first, second - first * right[j]  # L_ij D_j for now
+        if i % 2 == 1:
+            last, total = factor[i - 1], entries[i - 1]
+            for k in range(i - 1):
+                total -= row[k] * last[k]
+            row[i - 1] = total
+        pivot = entries[i] - shift
         for j in range(i):
-            share = factor[i, j] / pivots[j]
-            pivot -= factor[i, j] * share
-            factor[i, j] = share
+            share = row[j] / pivots[j]
+            pivot -= row[j] * share
+            row[j] = share
         if abs(pivot) < _EPSILON * size:
             pivot = _EPSILON * size
         negative += pivot < 0.0
