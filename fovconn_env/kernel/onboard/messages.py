@@ -80,8 +80,9 @@ def write_broadcast(broadcast, ego, belief):
 @kernel
 def write_unicast(unicast, track):
     """Write the part of robot i's message that is for j alone: what i has on board about j."""
-    unicast.seen, unicast.px, unicast.py, unicast.pz = track.held, 0.0, 0.0, 0.0
-    if track.held:
-        unicast.px, unicast.py, unicast.pz = track.x, track.y, track.z
+    # read first, then chosen: a branch would be foreseen no better than a coin toss
+    held, x, y, z = track.held, track.x, track.y, track.z
+    unicast.seen = held
+    unicast.px, unicast.py, unicast.pz = x if held else 0.0, y if held else 0.0, z if held else 0.0
     unicast.gamma, unicast.f = track.gamma, track.f
     unicast.cos_yaw, unicast.sin_yaw, unicast.yaw_valid = track.cos_yaw, track.sin_yaw, track.valid

@@ -35,12 +35,9 @@ def bounded(value):
 @kernel
 def agreed_weight(sent, received, p):
     """A_ij (6) from what i sent to j and received from j in the same round; the same bits at both ends."""
-    if not sent.seen and not received.seen:
-        return 0.0
-    gamma = sent.gamma + received.gamma  # case 2 of Sec. III-C: only one of them measures
-    if sent.seen == received.seen:
-        gamma *= 0.5
-    return gamma * view_weight(sent.f, received.f, p.weight)
+    share = 0.5 if sent.seen == received.seen else 1.0  # case 2 of Sec. III-C: only one of them measures
+    weight = share * (sent.gamma + received.gamma) * view_weight(sent.f, received.f, p.weight)
+    return weight if sent.seen | received.seen else 0.0
 
 
 @kernel
