@@ -119,8 +119,9 @@ def find_active(pairs, active, p):
     """Mark in `active` (N, N) the pairs linked within the last `rest_ticks`; `update_pairs` keeps the marks."""
     n = pairs.shape[0]
     for i in range(n):
-        for j in range(n):
-            active[i, j] = (j != i) & (pairs[i, j].idle_ticks < p.rest_ticks)
+        active[i, i] = False
+        for j in range(i + 1, n):
+            active[i, j] = active[j, i] = pairs[i, j].idle_ticks < p.rest_ticks  # of pair (j, i) the same
 
 
 @kernel
@@ -134,8 +135,11 @@ def build_contacts(active, row, col, indptr):
     for i in range(n):
         indptr[i] = count
         for j in range(n):
-            row[count], col[count] = i, j
+            col[count] = j
             count += active[i, j]
+        # apart, as most of the robots visited above are no contacts
+        for k in range(indptr[i], count):
+            row[k] = i
     indptr[n] = count
 
 
