@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from fovconn_env.flights.rollout import Observer
-from fovconn_env.kernel.jit import entry, kernel
+from fovconn_env.kernel.jit import code_of, entry, kernel
 from fovconn_env.kernel.maths.weights import range_weight
 from fovconn_env.kernel.onboard.power_iteration import FLOODING
 from fovconn_env.kernel.world.faults import count_living
@@ -66,11 +67,19 @@ class Meter(Observer):
             self._sums[name] = math.nan
         self._histograms = np.zeros((b, len(ERRORS), N_BINS), np.uint32)
         self._before = simulator.adjacency()  # of the last step
+        self._called: tuple[Any, Any] = None, None  # the state that was measured, and the machine code for it
 
     def update(self) -> None:
         """Take in the step just made."""
         simulator = self.simulator
-        _measure(simulator.state, self._sums, self._histograms, self._before, simulator.params)
+        state, code = self._called
+        run = code if state is simulator.state else _measure
+        run(simulator.state, self._sums, self._histograms, self._before, simulator.params)
+        if run is _measure:
+            self._called = simulator.state, code_of(_measure)
+
+    def __getstate__(self) -> dict:
+        return {**self.__dict__, "_called": (None, None)}  # machine code is of this process
 
     def results(self) -> dict[str, np.ndarray]:
         """Measures of every episode, (B,) each; names and units in `docs/metrics.md`."""
