@@ -21,7 +21,8 @@ from numba import types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import PassManager, register_pass
-from numba.core.typed_passes import NativeLowering, NopythonRewrites
+from numba.core.cpu import CPUContext
+from numba.core.typed_passes import NativeLowering
 from numba.extending import models, register_model
 
 _LOG = logging.getLogger("fovconn_env")
@@ -60,6 +61,9 @@ class _Part(JITCodeLibrary):
     def codegen(self) -> Any:
         """What writes into the machine code: there is none."""
         return SimpleNamespace(set_env=lambda *_: None)
+
+    def _optimize_functions(self, _: Any) -> None:
+        """All that it calls is optimised in the library that it becomes a part of."""
 
     def get_pointer_to_function(self, name: str) -> int:
         self._ensure_finalized()
@@ -121,6 +125,7 @@ class _Function(types.Function):
 
 register_model(_Function)(models.OpaqueModel)
 _function = functools.cache(_Function)  # by templates; numba forgets a type that nothing refers to
+_attributes: dict[tuple[types.Record, str], Any] = {}  # types of the fields of records
 
 
 class _Typing:
@@ -136,6 +141,40 @@ class _Typing:
         resolved = self.numbas.resolve_value_type(value)
         return _function(resolved.templates) if type(resolved) is types.Function else resolved
 
+    def resolve_function_type(self, function: Any, args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
+        if not isinstance(function, types.Type):  # what Python calls, such as operator.getitem
+            kind = self.numbas._lookup_global(function)
+            function = _function(kind.templates) if type(kind) is types.Function else function
+        if isinstance(function, (types.Function, types.Dispatcher)):  # they have no attribute `__call__` to look for
+            return function.get_call_type(self.numbas, args, kws)
+        return self.numbas.resolve_function_type(function, args, kws)
+
+    def resolve_getattr(self, typ: Any, attr: str) -> Any:
+        if not isinstance(typ, types.Record):
+            return self.numbas.resolve_getattr(typ, attr)
+        key = typ, attr
+        if key not in _attributes:
+            _attributes[key] = self.numbas.resolve_getattr(typ, attr)
+        return _attributes[key]
+
+
+# numba's passes over what a kernel has none of: closures, literals of other types in one loop, arrays made, references
+# counted (IRLegalization marks where each variable is used last); and those that only check or describe.
+_LEFT_OUT = (
+    "AnnotateTypes",
+    "DumpParforDiagnostics",
+    "FindLiterallyCalls",
+    "InlineClosureLikes",
+    "IRLegalization",
+    "LiteralPropagationSubPipelinePass",
+    "LiteralUnroll",
+    "MakeFunctionToJitFunction",
+    "NoPythonSupportedFeatureValidation",
+    "NopythonRewrites",
+    "RewriteDynamicRaises",
+    "WithLifting",
+)
+
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _Lowering(NativeLowering):
@@ -147,22 +186,40 @@ class _Lowering(NativeLowering):
         return super().run_pass(state)
 
 
+class _Target(CPUContext):
+    """numba's target context without what it does again for each array and each variable."""
+
+    def get_abi_sizeof(self, ty: Any) -> int:
+        """Remembered: LLVM reads a module for each."""
+        key = str(ty)
+        if key not in _sizes:
+            _sizes[key] = super().get_abi_sizeof(ty)
+        return _sizes[key]
+
+    def get_function(self, fn: Any, sig: Any, _firstcall: bool = True) -> Any:
+        """Not searched twice for what makes an array of an array, which no array has, and each is asked for."""
+        return super().get_function(fn, sig, _firstcall and fn != "__array__")
+
+
+_sizes: dict[str, int] = {}  # bytes
+
+
 class _Compiler(CompilerBase):
-    """numba's compiler, with a library of another class, and without what only new arrays need."""
+    """numba's compiler, with a library of another class, and without the passes that kernels do not need."""
 
     library_class: type[JITCodeLibrary]
 
     def __init__(self, typingctx: Any, *args: Any) -> None:
         super().__init__(typingctx, *args)
         self.state.typingctx = self.state.targetctx.typing_context = _Typing(typingctx)
+        self.state.targetctx.__class__ = _Target  # it is a copy for this compiler
 
     def define_pipelines(self) -> list[PassManager]:
         pipeline = DefaultPassBuilder.define_nopython_pipeline(self.state, "fovconn_env")
-        replaced = {NativeLowering: _Lowering, NopythonRewrites: None}
-        if not replaced.keys() <= dict(pipeline.passes).keys():
+        if NativeLowering not in dict(pipeline.passes):
             raise LookupError("numba's pipeline has other passes")
-        passes = [(replaced.get(step, step), text) for step, text in pipeline.passes]
-        pipeline.passes = [(step, text) for step, text in passes if step is not None]
+        passes = [(step, text) for step, text in pipeline.passes if step.__name__ not in _LEFT_OUT]
+        pipeline.passes = [(_Lowering if step is NativeLowering else step, text) for step, text in passes]
         pipeline.finalize()
         return [pipeline]
 

@@ -1,13 +1,17 @@
 """What only compiled code calls is compiled as a part of its caller; where numba cannot, in numba's own way."""
 
 import contextlib
+import copy
 import gc
 import logging
 import math
+from typing import Any
 
 import numba
 import numpy as np
 import pytest
+from llvmlite import ir
+from numba.core.registry import cpu_target
 
 from fovconn_env.kernel import compiler
 from fovconn_env.kernel.jit import formula, kernel, stage
@@ -76,6 +80,25 @@ def test_a_function_of_others_may_call_parts():
     assert value == pytest.approx(np.hypot(VALUES, 1.0).sum() + 5.0, rel=1e-14)
 
 
+def test_a_field_has_the_type_of_its_record():
+    field = kernel(lambda record: record.x)
+    both = formula(lambda a, b: (field(a[0]), field(b[0]), a[0].x, b[0].x))
+    arrays = [np.array([(value,)], [("x", kind)]) for value, kind in ((1.5, np.float64), (7, np.int32))]
+    assert both(*arrays) == (1.5, 7, 1.5, 7)
+    assert numba.typeof(both(*arrays)) == numba.typeof((1.5, 7, 1.5, 7))
+
+
+def test_sizes_in_memory_are_numbas():
+    numbas: Any = cpu_target.target_context
+    ours = copy.copy(numbas)
+    ours.__class__ = compiler._Target
+    number = ir.IntType(64)
+    kinds = [ir.IntType(8), number, ir.ArrayType(number, 3), ir.LiteralStructType([ir.IntType(8), number])]
+    for _ in range(2):
+        assert [ours.get_abi_sizeof(kind) for kind in kinds] == [1, 8, 24, 16]
+    assert [numbas.get_abi_sizeof(kind) for kind in kinds] == [1, 8, 24, 16]
+
+
 @pytest.mark.parametrize("collects", [True, False])
 @pytest.mark.parametrize("fails", [True, False])
 def test_garbage_is_collected_again_after_long_code(fails, collects, monkeypatch):
@@ -101,7 +124,7 @@ def test_the_versions_tested_are_supported():
     assert compiler.is_supported()
 
 
-@pytest.mark.parametrize("name", ["NativeLowering", "_Large", "_Part", "_Typing"])
+@pytest.mark.parametrize("name", ["NativeLowering", "_LEFT_OUT", "_Large", "_Part", "_Target", "_Typing"])
 def test_other_internals_are_noticed(name, monkeypatch, caplog):
     users = {"_Large": compiler._LargeCompiler, "_Part": compiler._PartCompiler}
     monkeypatch.setattr(users.get(name, compiler), "library_class" if name in users else name, object)
