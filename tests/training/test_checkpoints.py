@@ -158,6 +158,6 @@ def test_a_rollout_of_others_is_refused():
     algorithm = team()
     archive = Archive({"recipe": algorithm.recipe(), "best": {}}, algorithm.pack())
     assert restore(team(), archive, {}, "c.npz") == {}
-    arrays = archive.arrays | {"starts": archive.arrays["starts"][1:]}
-    with pytest.raises(Damaged, match="starts must be of the shape"):
+    arrays = archive.arrays | {"rows/length": archive.arrays["rows/length"][1:]}
+    with pytest.raises(Damaged, match="rows/length must be of the shape"):
         restore(team(), archive._replace(arrays=arrays), {}, "c.npz")

@@ -5,6 +5,7 @@ import json
 import re
 import signal
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +16,13 @@ pytest.importorskip("stable_baselines3")
 import torch
 from gymnasium import spaces
 from stable_baselines3 import PPO
+from stable_baselines3.common.buffers import RolloutBuffer
 
 from fovconn_env import PRESETS, Simulator, layout, scenario
 from fovconn_env.baselines import Cohesive, find_policy, load_policy
 from fovconn_env.baselines.learned.cards import BASES
-from fovconn_env.baselines.learned.inputs import LEADER, OWN, ROW
-from fovconn_env.baselines.learned.networks import FlatEncoder, SetEncoder
+from fovconn_env.baselines.learned.inputs import LAMBDA2, LEADER, OWN, ROW, SHARE
+from fovconn_env.baselines.learned.networks import FlatEncoder, SetEncoder, emphasis
 from fovconn_env.baselines.learned.policy import from_file, silu
 from fovconn_env.errors import SettingError
 from fovconn_env.flights.state_hash import frozen_dtypes, state_hash
@@ -33,11 +35,21 @@ from fovconn_env.training.evaluation.folders import LOCK, claimed
 from fovconn_env.training.evaluation.interruption import Interrupted
 from fovconn_env.training.learn import learning, origin
 from fovconn_env.training.learn.bc import BC, BCSettings
-from fovconn_env.training.learn.dagger import Dagger, DaggerSettings
+from fovconn_env.training.learn.dagger import Dagger, DaggerSettings, regress
 from fovconn_env.training.learn.datasets import record, save
 from fovconn_env.training.learn.learning import Budget, train
-from fovconn_env.training.learn.model import Network, layers, load_weights, make_model, mean_action, weights
-from fovconn_env.training.learn.ppo import PPOSettings, Team
+from fovconn_env.training.learn.model import (
+    Network,
+    actor,
+    critic,
+    layers,
+    load_weights,
+    make_model,
+    mean_action,
+    prepare,
+    weights,
+)
+from fovconn_env.training.learn.ppo import PPOSettings, Samples, Team, advantages
 from fovconn_env.training.learn.residual import Residual, ResidualSettings
 from fovconn_env.training.learn.rows import Rows, pack_simulator, unpack_simulator
 from tests.helpers import recorded_actions
@@ -99,6 +111,49 @@ def test_features_do_not_know_the_number_of_rows(seen):
     assert torch.isfinite(nothing).all()
 
 
+def plain_features(net, flat):
+    """Features of a set network in plain torch, slot after slot, for autograd."""
+    first, last, silu = OWN + net.max_neighbors * ROW, flat.shape[1] - net.extra, torch.nn.functional.silu
+    scaled = flat / net.scales
+    own = torch.cat([scaled[:, :OWN], emphasis(flat[:, LAMBDA2 : LAMBDA2 + 1]), scaled[:, last:]], dim=1)
+    sums = []
+    for begin, end, one, two, start in (
+        (OWN, first, net.row, net.term, net.own(own)),
+        (first, last, net.point, net.spot, 0),
+    ):
+        total = torch.zeros(len(flat), two.out_features)
+        for row in scaled[:, begin:end].split(one.in_features, dim=1):
+            total = total + row[:, :1].ne(0) * silu(two(silu(one(row) + start)))
+        sums.append(SHARE * total)
+    return torch.cat([own, *sums], dim=1)
+
+
+def gradients(module, loss):
+    module.zero_grad()
+    loss.backward()
+    return {name: parameter.grad.clone() for name, parameter in module.named_parameters()}
+
+
+@pytest.mark.parametrize("extra", [0, 4])
+def test_features_and_their_gradients_are_those_of_plain_torch(extra, seen):
+    net = encoder(SetEncoder, extra=extra)
+    flat = torch.from_numpy(np.concatenate([seen, seen[:, OWN : OWN + extra]], axis=1))
+    factors = torch.randn(len(flat), net.features_dim)
+    torch.testing.assert_close(net(flat), plain_features(net, flat), atol=2e-6, rtol=1e-6)
+    found, expected = (gradients(net, (run(flat) * factors).sum()) for run in (net, partial(plain_features, net)))
+    for name, gradient in expected.items():
+        torch.testing.assert_close(found[name], gradient, atol=2e-6 * float(gradient.abs().max()), rtol=0.0, msg=name)
+
+
+def test_inputs_are_taken_and_parted_with_their_rows(seen):
+    net = encoder(SetEncoder)
+    with torch.no_grad():
+        features, inputs = net(torch.from_numpy(seen)), net.prepare(torch.from_numpy(seen))
+        chosen = np.random.default_rng(0).permutation(len(seen))
+        mixed = net.run(inputs.take(chosen).part(10, 50).part(5, 30))[0]
+    torch.testing.assert_close(mixed, features[chosen[15:40]], atol=2e-6, rtol=0.0)
+
+
 def test_max_neighbors_has_to_fit():
     for kind in (SetEncoder, FlatEncoder):
         with pytest.raises(ValueError, match="max_neighbors must fit an observation of 205 columns, got 20"):
@@ -119,8 +174,7 @@ def test_the_kernel_flies_what_torch_learned(kind, base, seen, tmp_path):
     policy = from_file(tmp_path / f"{trained.name}.safetensors")(scenario(n_agents=5))
     rows = Rows([scenario(n_agents=5)], 1, base=base)
     inputs = rows._extended(seen, rows.slices[0])
-    with torch.no_grad():
-        output = mean_action(trained.policy, torch.from_numpy(inputs)).numpy()
+    output = mean_action(trained.policy, inputs).numpy()
     led = seen[:, LEADER, None] > 0
     assert led.any()
     expected = inputs[:, 205:] + np.where(led, 0.0, 0.3 * output.clip(-1, 1)) if base else output
@@ -310,10 +364,9 @@ def test_dagger_learns_the_expert():
     for share in np.linspace(0.0, 0.95, 16):
         trained.iterate(share)
         trained.iteration += 1
-    seen, wanted = (torch.from_numpy(part[: trained.filled]) for part in (trained.seen, trained.wanted))
-    with torch.no_grad():
-        missed = (mean_action(trained.policy, seen) - wanted).abs().mean()
-    assert missed < 0.6 * wanted.abs().mean()
+    seen, wanted = trained.seen[: trained.filled], trained.wanted[: trained.filled]
+    missed = np.abs(mean_action(trained.policy, seen).numpy() - wanted).mean()
+    assert missed < 0.6 * np.abs(wanted).mean()
 
 
 def test_a_full_buffer_takes_new_rows():
@@ -344,6 +397,104 @@ def test_residual_begins_as_its_law(tmp_path):
     np.testing.assert_array_equal(policy.decide(flat), Cohesive(scenario(**TINY)).decide(flat))
 
 
+@pytest.mark.parametrize("kind", ["set", "mlp"])
+@pytest.mark.parametrize("alone", [False, True])
+def test_the_gradient_of_ppo_is_that_of_autograd(kind, alone, seen):
+    """Of the loss written with SB3's distributions; some ratios are clipped."""
+    settings = PPOSettings(n_worlds=1, n_steps=2, batch=4, entropy=0.01)
+    trained = Team([scenario(n_agents=5)], 0, settings, dataclasses.replace(SMALL, kind=kind), n_threads=1)
+    policy, flat, count, s = trained.policy, torch.from_numpy(seen), len(seen), settings
+    distribution = policy.get_distribution(flat)
+    actions = distribution.sample().detach()
+    before = distribution.log_prob(actions).detach() + 0.3 * torch.randn(count)
+    gain, returns, start = torch.randn(count), torch.randn(count), torch.randn(count, 4)
+
+    ratio = (distribution.log_prob(actions) - before).exp()
+    clipped = ratio.clamp(1.0 - s.clip, 1.0 + s.clip)
+    assert 0.2 < float((ratio != clipped).float().mean()) < 0.8
+    away = ((distribution.mode() - start) / policy.log_std.detach().exp()).square().sum(1).mean() / 2.0
+    loss, missed = -torch.min(gain * ratio, gain * clipped).mean(), policy.predict_values(flat).flatten() - returns
+    total = s.value * missed.square().mean()
+    if not alone:
+        total = total + loss + 0.3 * away - s.entropy * distribution.entropy().mean()
+    policy.zero_grad()
+    total.backward()
+    expected = {name: None if p.grad is None else p.grad.clone() for name, p in policy.named_parameters()}
+
+    policy.zero_grad()
+    samples = Samples(prepare(policy, seen), actions, start, before, gain, returns)
+    terms = trained.set_gradient((actor(policy), critic(policy)), samples, alone, 0.3)
+    for name, parameter in policy.named_parameters():
+        gradient = expected[name]
+        if gradient is None:
+            assert parameter.grad is None
+            continue
+        bound = 5e-6 * float(gradient.abs().max())
+        torch.testing.assert_close(
+            parameter.grad, gradient, atol=bound, rtol=0.0, msg=lambda text, name=name: f"{name}: {text}"
+        )
+    shown = torch.stack([loss, missed.square().mean(), (before - distribution.log_prob(actions)).mean(), away])
+    torch.testing.assert_close(terms, shown.detach(), atol=1e-5, rtol=1e-5)
+
+
+def test_advantages_are_those_of_sb3():
+    rng, (count, rows) = np.random.default_rng(0), (7, 5)
+    rewards, values = rng.normal(size=(count, rows)).astype("f4"), rng.normal(size=(count + 1, rows)).astype("f4")
+    over = rng.random((count, rows)) < 0.3
+    space = spaces.Box(-1.0, 1.0, (1,))
+    buffer = RolloutBuffer(count, space, space, "cpu", gae_lambda=0.9, gamma=0.97, n_envs=rows)
+    buffer.rewards, buffer.values = rewards, values[:-1]
+    buffer.episode_starts = np.concatenate([np.ones((1, rows)), over[:-1]]).astype("f4")
+    buffer.compute_returns_and_advantage(torch.from_numpy(values[-1]), over[-1])
+    np.testing.assert_allclose(advantages(rewards, values, over, 0.97, 0.9), buffer.advantages, atol=1e-6)
+
+
+def test_a_rollout_holds_what_was_flown():
+    """Densities as the policy's own, actions as the rows got them; a flight cut by its length goes on in value."""
+    trained = team(n_steps=24)
+    samples, n_rows = trained.fly(), trained.rows.num_envs
+    again = team(n_steps=24)
+    seen, rewards, over = [], [], []
+    actions = samples.actions.numpy().reshape(24, n_rows, 4)
+    for k in range(24):
+        seen.append(again.rows.observations.copy())
+        _, reward, ended, infos = again.rows.step(actions[k])
+        for row in np.flatnonzero(ended):
+            last = torch.from_numpy(infos[row]["terminal_observation"][None])
+            reward[row] += 0.99 * float(again.policy.predict_values(last).detach()) * infos[row]["TimeLimit.truncated"]
+        rewards.append(reward)
+        over.append(ended)
+    assert np.any(over)
+    seen.append(again.rows.observations.copy())
+    with torch.no_grad():
+        flat = torch.from_numpy(np.stack(seen))
+        density = again.policy.get_distribution(flat[:-1].flatten(0, 1)).log_prob(samples.actions)
+        values = again.policy.predict_values(flat.flatten(0, 1)).reshape(25, n_rows).numpy()
+    torch.testing.assert_close(samples.log_prob, density, atol=1e-5, rtol=0.0)
+    gains = advantages(np.stack(rewards), values, np.stack(over), 0.99, 0.95)
+    np.testing.assert_allclose(samples.gain.numpy(), gains.ravel(), atol=1e-5)
+    np.testing.assert_allclose(samples.returns.numpy(), (gains + values[:-1]).ravel(), atol=1e-5)
+
+
+def test_the_gradient_of_imitation_is_that_of_autograd(seen):
+    """Smooth L1 of a batch, clipped, and a step of SB3's optimizer."""
+    rng, wanted = np.random.default_rng(0), np.random.default_rng(1).normal(size=(len(seen), 4)).astype("f4")
+    settings = BCSettings(n_updates=1, batch=len(seen), knee=0.5)
+    mine, other = (make_model(Rows([scenario(n_agents=5)], 1), SMALL.deviating(0.0), 0).policy for _ in range(2))
+    found = regress(mine, seen, wanted, len(seen), rng, 1e-3, settings)
+    chosen = np.random.default_rng(0).integers(0, len(seen), len(seen))
+    output = other.get_distribution(torch.from_numpy(seen[chosen])).mode()
+    loss = torch.nn.functional.smooth_l1_loss(output, torch.from_numpy(wanted[chosen]), beta=0.5)
+    other.zero_grad()
+    loss.backward()
+    torch.nn.utils.clip_grad_norm_(other.parameters(), 1.0)
+    assert found == pytest.approx(float(loss.detach()), rel=1e-5)
+    for (name, a), (_, b) in zip(mine.named_parameters(), other.named_parameters(), strict=True):
+        if b.grad is not None and b.grad.abs().max() > 0.0:
+            bound = 5e-6 * float(b.grad.abs().max())
+            torch.testing.assert_close(a.grad, b.grad, atol=bound, rtol=0.0, msg=name)
+
+
 def test_a_warm_start_stays_near_its_start(tmp_path):
     """The divergence from the start is less with the anchor; the critic learns alone at first."""
     learning.write_policy(dagger(), tmp_path, {}, ())
@@ -358,9 +509,9 @@ def test_a_warm_start_stays_near_its_start(tmp_path):
         for share in (0.3, 0.4, 0.5):
             trained.iteration += 1
             trained.iterate(share)
-        with torch.no_grad():
-            rows = torch.from_numpy(trained.rows.observations)
-            away[pull] = float(trained.away(mean_action(trained.policy, rows), mean_action(trained.anchor, rows)))
+        rows = trained.rows.observations
+        change = mean_action(trained.policy, rows) - mean_action(trained.anchor, rows)
+        away[pull] = float(change.square().sum(1).mean())
     assert 0.0 < away[100.0] < 0.5 * away[0.0]
 
 

@@ -22,7 +22,7 @@ from fovconn_env.errors import rule
 from fovconn_env.fields import check_array
 from fovconn_env.training.learn.checkpoints import below, check_like
 from fovconn_env.training.learn.learning import Algorithm
-from fovconn_env.training.learn.model import Network, actor_parameters, make_model, mean_action
+from fovconn_env.training.learn.model import Network, actor, make_model, prepare
 from fovconn_env.training.learn.rows import Rows
 
 
@@ -81,11 +81,11 @@ class Dagger(Algorithm):
 
     def fly(self, rng: np.random.Generator, beta: float) -> None:
         """n_steps in all worlds; a new episode is the law's with probability beta."""
+        pilot = actor(self.policy)
         for k in range(self.s.n_steps):
             keep = k % self.s.every == 0
             observations = self.rows.observations.copy()
-            with torch.no_grad():
-                actions = mean_action(self.policy, torch.from_numpy(observations)).numpy()
+            actions = pilot.run(prepare(self.policy, observations))[0].numpy()
             if keep or self.by_law.any():
                 labels = self.labels()
                 actions[self.by_law] = labels[self.by_law]
@@ -149,14 +149,16 @@ def regress(policy, seen, wanted, count, rng, rate, s) -> float:
     """
     for group in policy.optimizer.param_groups:
         group["lr"] = rate
-    total = 0.0
+    learner, total = actor(policy), 0.0
     for _ in range(s.n_updates):
         chosen = rng.integers(0, count, s.batch)
-        output = mean_action(policy, torch.from_numpy(seen[chosen]))
-        loss = torch.nn.functional.smooth_l1_loss(output, torch.from_numpy(wanted[chosen]), beta=s.knee)
+        inputs, labels = prepare(policy, seen[chosen]), torch.from_numpy(wanted[chosen])
         policy.optimizer.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(actor_parameters(policy), 1.0)
+        output, kept = learner.run(inputs)
+        error = output - labels
+        near = error.clamp(-s.knee, s.knee)
+        learner.set_gradient(kept, near / (s.knee * labels.numel()))
+        total += float((near * (error - near / 2.0)).mean()) / s.knee
+        torch.nn.utils.clip_grad_norm_(learner.parameters, 1.0)
         policy.optimizer.step()
-        total += loss.item()
     return total / s.n_updates

@@ -13,11 +13,15 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import nn
 
-from fovconn_env.baselines.learned.networks import ENCODERS
+from fovconn_env.baselines.learned.networks import ENCODERS, Inputs
+from fovconn_env.baselines.learned.networks import Encoder as TorchEncoder
 from fovconn_env.baselines.learned.policy import Encoder, Head
+from fovconn_env.baselines.learned.sets import activate
 from fovconn_env.bounds import setting
 from fovconn_env.errors import check_count, rule
 from fovconn_env.training.learn.rows import Rows
+
+PART = 1024  # samples
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -61,22 +65,75 @@ def make_model(rows: Rows, network: Network, seed: int, **settings: Any) -> PPO:
         "net_arch": {"pi": list(network.hidden), "vf": list(network.hidden)},
         "activation_fn": nn.SiLU,
         "log_std_init": network.log_std,
+        "optimizer_kwargs": {"eps": 1e-5, "fused": True},  # eps: SB3's own
     }
     model = PPO("MlpPolicy", rows, seed=seed, device="cpu", policy_kwargs=policy, **ours)
     model.set_logger(Logger(None, []))
     return model
 
 
-def mean_action(policy: ActorCriticPolicy, observations: torch.Tensor) -> torch.Tensor:
-    """The actor's mean actions, (R, 4), in a network's units and before clipping."""
-    features = policy.pi_features_extractor(observations)
-    return policy.action_net(policy.mlp_extractor.forward_actor(features))
+class Branch:
+    """Actor or critic of an SB3 policy: an encoder, two hidden layers and the output.
+
+    Forward and gradient are written out: autograd would pass over the memory three times as often.
+    """
+
+    def __init__(self, encoder: TorchEncoder, hidden: nn.Module, out: nn.Linear) -> None:
+        first, second = (layer for layer in hidden.children() if isinstance(layer, nn.Linear))
+        self.encoder, self.layers = encoder, (first, second, out)
+        self.parameters = [parameter for part in (encoder, *self.layers) for parameter in part.parameters()]
+
+    @torch.no_grad()
+    def run(self, inputs: Inputs) -> tuple[torch.Tensor, Any]:
+        """Outputs (R, n), and what `set_gradient` needs."""
+        x, kept = self.encoder.run(inputs)
+        passed = [x]
+        for layer in self.layers[:-1]:
+            slope = torch.addmm(layer.bias, x, layer.weight.T)
+            x = torch.empty_like(slope)
+            activate(slope.numpy(), x.numpy())
+            passed += [slope, x]
+        last = self.layers[-1]
+        return torch.addmm(last.bias, x, last.weight.T), (kept, passed)
+
+    @torch.no_grad()
+    def set_gradient(self, kept: Any, gradient: torch.Tensor) -> None:
+        """Set the parameters' gradients, from that of the outputs (R, n). What was kept is used up."""
+        (first, second, out), (kept, (features, slope_1, one, slope_2, two)) = self.layers, kept
+        before_2 = slope_2.mul_(gradient @ out.weight)
+        before_1 = slope_1.mul_(before_2 @ second.weight)
+        given = self.encoder.given
+        found = self.encoder.gradients(kept, before_1 @ first.weight[:, given:])
+        for x, d in ((features, before_1), (one, before_2), (two, gradient)):
+            found += [(x.T @ d).T, d.sum(0)]
+        for parameter, part in zip(self.parameters, found, strict=True):
+            parameter.grad = part.contiguous()
 
 
-def actor_parameters(policy: ActorCriticPolicy) -> list[nn.Parameter]:
-    """Parameters of the actor's mean."""
-    parts = (policy.pi_features_extractor, policy.mlp_extractor.policy_net, policy.action_net)
-    return [parameter for part in parts for parameter in part.parameters()]
+def actor(policy: Any) -> Branch:
+    """The network of an action's mean, in a network's units and before clipping."""
+    return Branch(policy.pi_features_extractor, policy.mlp_extractor.policy_net, policy.action_net)
+
+
+def critic(policy: Any) -> Branch:
+    """The network of the value."""
+    return Branch(policy.vf_features_extractor, policy.mlp_extractor.value_net, policy.value_net)
+
+
+def prepare(policy: Any, observations: np.ndarray) -> Inputs:
+    """What actor and critic read of observations (R, D + extra): see `networks.Encoder.prepare`."""
+    return policy.pi_features_extractor.prepare(torch.from_numpy(observations))
+
+
+def run_all(branch: Branch, inputs: Inputs) -> torch.Tensor:
+    """Outputs (R, n) of many samples, part after part: what `run` keeps for a gradient would take much memory."""
+    starts = range(0, len(inputs.own), PART)
+    return torch.cat([branch.run(inputs.part(first, first + PART))[0] for first in starts])
+
+
+def mean_action(policy: ActorCriticPolicy, observations: np.ndarray) -> torch.Tensor:
+    """The actor's mean actions, (R, 4)."""
+    return actor(policy).run(prepare(policy, observations))[0]
 
 
 def layers(policy: Any) -> dict[str, Any]:

@@ -1,29 +1,43 @@
 """PPO (Schulman et al., 2017) with one policy for all robots: from scratch, or from a policy that can fly.
 
-rollout -> advantages -> update. SB3 collects the rollouts (`collect_rollouts`, generalised advantages); the update is
-written out here. From a trained policy (`start`) two things differ, so that it does not forget at once: the critic
-learns alone for a while, and the loss gets `anchor` times the Kullback-Leibler divergence to the policy of the start.
+rollout -> advantages -> update, written out here: the network and its optimizer are SB3's. From a trained policy
+(`start`) two things differ, so that it does not forget at once: the critic learns alone for a while, and the loss
+gets `anchor` times the Kullback-Leibler divergence to the policy of the start.
 """
 
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from stable_baselines3.common.callbacks import BaseCallback
 from torch import nn
 
 from fovconn_env import Scenario
+from fovconn_env.baselines.learned.inputs import ACTION
+from fovconn_env.baselines.learned.networks import Inputs
 from fovconn_env.baselines.learned.policy import load
 from fovconn_env.bounds import check_numbers, fraction, non_negative, positive
-from fovconn_env.training.learn.checkpoints import below, check_like, check_tensors
+from fovconn_env.training.learn.checkpoints import below, check_tensors
 from fovconn_env.training.learn.learning import Algorithm
-from fovconn_env.training.learn.model import Network, load_weights, make_model, mean_action
+from fovconn_env.training.learn.model import (
+    Branch,
+    Network,
+    actor,
+    critic,
+    load_weights,
+    make_model,
+    prepare,
+    run_all,
+)
 from fovconn_env.training.learn.rows import Rows
+
+CURVES = "loss", "value_loss", "kl", "from_start"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +62,22 @@ class PPOSettings:
 
     def __post_init__(self) -> None:
         check_numbers(self)
+
+
+class Samples(NamedTuple):
+    """What was flown, a sample a robot and step, or a part of it."""
+
+    inputs: Inputs
+    actions: torch.Tensor  # (S, 4)
+    start: torch.Tensor  # (S, 4) mean actions of the start; (S, 0) without one
+    log_prob: torch.Tensor  # (S,) of the actions, when they were flown
+    gain: torch.Tensor  # (S,) advantages
+    returns: torch.Tensor  # (S,)
+
+    def take(self, chosen: np.ndarray) -> Samples:
+        """The chosen samples, copied."""
+        index = torch.from_numpy(chosen)
+        return Samples(self.inputs.take(chosen), *(tensor[index] for tensor in self[1:]))
 
 
 class Team(Algorithm):
@@ -78,66 +108,91 @@ class Team(Algorithm):
             load_weights(self.policy, *load(start)[1:])
         self.anchor = copy.deepcopy(self.policy) if start is not None else None
         self.rows.seed(seed)
-        model._last_obs = self.rows.reset()
-        model._last_episode_starts = np.ones(self.rows.num_envs, bool)
-        model._setup_learn(0, None, reset_num_timesteps=False)
+        self.rows.reset()
 
     def iterate(self, share: float) -> dict[str, float]:
         """Rollout, advantages, update."""
-        rng, model = self.generator(), self.model
-        model.collect_rollouts(self.rows, Quiet(), model.rollout_buffer, self.s.n_steps)
+        rng = self.generator()
+        flown = self.fly()
         self.steps += self.s.n_steps * self.rows.num_envs
-        model.num_timesteps = self.steps
-        return {**self.update(rng, share), **self.rows.outcomes()}
+        self.model.num_timesteps = self.steps
+        return {**self.update(flown, rng, share), **self.rows.outcomes()}
 
-    def update(self, rng: np.random.Generator, share: float) -> dict[str, float]:
+    @torch.no_grad()
+    def fly(self) -> Samples:
+        """n_steps in all worlds, with noise on the actions."""
+        s, log_std, size = self.s, self.policy.log_std, (self.s.n_steps, self.rows.num_envs)
+        noise, pilot = torch.randn(*size, ACTION), actor(self.policy)
+        observations = np.empty((s.n_steps + 1, *self.rows.observations.shape), np.float32)
+        rewards, over, actions = np.empty(size, np.float32), np.empty(size, bool), log_std.exp() * noise
+        cut = []  # step, row and last observation of the flights that ended by their length alone
+        observations[0] = self.rows.observations
+        for k in range(s.n_steps):
+            actions[k] += pilot.run(prepare(self.policy, observations[k]))[0]
+            _, rewards[k], over[k], infos = self.rows.step(actions[k].numpy())
+            observations[k + 1] = self.rows.observations
+            for row in np.flatnonzero(over[k]).tolist():
+                if infos[row]["TimeLimit.truncated"]:
+                    cut.append((k, row, infos[row]["terminal_observation"]))
+        inputs = prepare(self.policy, observations.reshape(-1, observations.shape[2]))
+        values = self.values(inputs).reshape(s.n_steps + 1, -1)
+        if cut:
+            steps, rows, last = zip(*cut, strict=True)
+            rewards[steps, rows] += s.gamma * self.values(prepare(self.policy, np.stack(last)))
+        gains = advantages(rewards, values, over, s.gamma, s.lam)
+        count = size[0] * size[1]
+        inputs, returns = inputs.part(0, count), gains + values[:-1]
+        start = torch.zeros(count, 0) if self.anchor is None else run_all(actor(self.anchor), inputs)
+        flat = gaussian(noise, log_std), torch.from_numpy(gains), torch.from_numpy(returns)
+        return Samples(inputs, actions.reshape(count, ACTION), start, *(part.reshape(count) for part in flat))
+
+    def values(self, inputs: Inputs) -> np.ndarray:
+        """The critic's values of observations, (R,)."""
+        return run_all(critic(self.policy), inputs).flatten().numpy()
+
+    def update(self, flown: Samples, rng: np.random.Generator, share: float) -> dict[str, float]:
         """n_epochs over the rollout in random batches; means of the last epoch."""
-        s, policy, data = self.s, self.policy, self.rollout()
+        s, policy, count = self.s, self.policy, len(flown.actions)
         for group in policy.optimizer.param_groups:
             group["lr"] = s.learning_rate * max(1.0 - share, 0.0)
         alone = self.anchor is not None and share < s.critic_first
         pull = s.anchor * max(1.0 - share / max(s.anchored, 1e-9), 0.0) if self.anchor is not None else 0.0
-        curves = {"loss": 0.0, "value_loss": 0.0, "kl": 0.0, "from_start": 0.0}
-        count, n_batches = len(data["actions"]), max(len(data["actions"]) // s.batch, 1)
+        n_batches = max(count // s.batch, 1)
+        branches, terms = (actor(policy), critic(policy)), torch.zeros(len(CURVES))
         for _ in range(s.n_epochs):
-            curves = dict.fromkeys(curves, 0.0)
+            terms = torch.zeros(len(CURVES))
             for chosen in np.array_split(rng.permutation(count), n_batches):
-                batch = {name: tensor[chosen] for name, tensor in data.items()}
-                distribution = policy.get_distribution(batch["observations"])
-                values, log_prob = policy.predict_values(batch["observations"]), distribution.log_prob(batch["actions"])
-                ratio = torch.exp(log_prob - batch["log_prob"])
-                gain = batch["advantages"]
-                gain = (gain - gain.mean()) / (gain.std() + 1e-8)
-                actor = -torch.min(gain * ratio, gain * ratio.clamp(1.0 - s.clip, 1.0 + s.clip)).mean()
-                critic = nn.functional.mse_loss(values.flatten(), batch["returns"])
-                away = self.away(distribution.mode(), batch["start"]) if pull > 0.0 else torch.zeros(())
-                total = s.value * critic
-                if not alone:
-                    total = total + actor + pull * away - s.entropy * policy.log_std.sum()  # of which entropy is made
-                policy.optimizer.zero_grad()
-                total.backward()
+                batch = flown.take(chosen)
+                deviation, mean = torch.std_mean(batch.gain)
+                batch = batch._replace(gain=(batch.gain - mean) / (deviation + 1e-8))
+                terms += self.set_gradient(branches, batch, alone, pull)
                 nn.utils.clip_grad_norm_(policy.parameters(), s.max_norm)
                 policy.optimizer.step()
-                kl = (batch["log_prob"] - log_prob).mean()
-                for name, term in (("loss", actor), ("value_loss", critic), ("kl", kl), ("from_start", away)):
-                    curves[name] += float(term.detach()) / n_batches
+        curves = dict(zip(CURVES, (terms / n_batches).tolist(), strict=True))
         return {**curves, "std": float(policy.log_std.detach().exp().mean()), "anchor": pull}
 
-    def rollout(self) -> dict[str, torch.Tensor]:
-        """What SB3 collected, (n_steps R, ...)."""
-        buffer = self.model.rollout_buffer
-        parts = {"observations": buffer.observations, "actions": buffer.actions, "returns": buffer.returns}
-        parts |= {"log_prob": buffer.log_probs, "advantages": buffer.advantages}
-        data = {name: torch.from_numpy(array.reshape(-1, *array.shape[2:])) for name, array in parts.items()}
-        if self.anchor is not None:
-            with torch.no_grad():
-                chunks = data["observations"].split(self.s.batch)
-                data["start"] = torch.cat([mean_action(self.anchor, chunk) for chunk in chunks])
-        return data
+    @torch.no_grad()
+    def set_gradient(self, branches: tuple[Branch, Branch], batch: Samples, alone: bool, pull: float) -> torch.Tensor:
+        """Set the gradient of a batch, and return its CURVES.
 
-    def away(self, mean: torch.Tensor, start: torch.Tensor) -> torch.Tensor:
-        """Mean divergence KL(start | policy) of two Gaussians (R, 4) with the policy's deviation."""
-        return (((mean - start) / self.policy.log_std.detach().exp()) ** 2).sum(1).mean() / 2.0
+        The loss is -min(gain ratio, gain clip(ratio)) + value (V - return)^2 - entropy, and pull times the divergence
+        from the start. alone: the critic learns alone.
+        """
+        s, log_std, size = self.s, self.policy.log_std, len(batch.actions)
+        (mean, kept), (values, kept_values) = (branch.run(batch.inputs) for branch in branches)
+        noise = (batch.actions - mean) / log_std.exp()
+        change = gaussian(noise, log_std) - batch.log_prob
+        gain = batch.gain * change.exp()
+        limited = batch.gain * change.exp().clamp(1.0 - s.clip, 1.0 + s.clip)
+        missed = values.flatten() - batch.returns
+        away = (mean - batch.start) / log_std.exp() if pull > 0.0 else torch.zeros(1, ACTION)
+        branches[1].set_gradient(kept_values, (2.0 * s.value / size) * missed[:, None])
+        if not alone:
+            slope = torch.where(gain <= limited, -gain / size, 0.0)[:, None]  # of the logarithm of the density
+            branches[0].set_gradient(kept, (slope * noise + (pull / size) * away) / log_std.exp())
+            log_std.grad = (slope * (noise.square() - 1.0)).sum(0) - s.entropy  # the entropy's gradient is 1
+        sums = -torch.min(gain, limited).sum(), missed.square().sum(), -change.sum(), away.square().sum() / 2.0
+        return torch.stack(sums) / size
 
     def recipe(self) -> dict:
         """With start and filter."""
@@ -147,7 +202,6 @@ class Team(Algorithm):
     def pack(self) -> dict[str, np.ndarray]:
         """With worlds and the policy of the start."""
         arrays = {f"rows/{name}": array for name, array in self.rows.pack().items()}
-        arrays["starts"] = np.asarray(self.model._last_episode_starts)
         if self.anchor is not None:
             arrays |= {f"anchor/{name}": tensor.numpy() for name, tensor in self.anchor.state_dict().items()}
         return super().pack() | arrays
@@ -157,20 +211,22 @@ class Team(Algorithm):
         super().unpack(arrays)
         if self.anchor is not None:
             check_tensors("anchor", arrays, self.anchor.state_dict())
-        check_like("starts", arrays.get("starts"), np.asarray(self.model._last_episode_starts))
         self.rows.unpack(below(arrays, "rows"))
-        self.model._last_obs, self.model._last_episode_starts = self.rows.observations.copy(), arrays["starts"]
         self.model.num_timesteps = self.steps
         if self.anchor is not None:
             self.anchor.load_state_dict({k: torch.tensor(v) for k, v in below(arrays, "anchor").items()})
 
 
-class Quiet(BaseCallback):
-    """A callback without effect: the loop reports progress and curves."""
+def gaussian(noise: torch.Tensor, log_std: torch.Tensor) -> torch.Tensor:
+    """Logarithm of the density of mean + exp(log_std) noise, (...), for noise (..., A)."""
+    return -(noise.square() / 2.0 + log_std + math.log(2.0 * math.pi) / 2.0).sum(-1)
 
-    def on_step(self) -> bool:
-        """Go on."""
-        return True
 
-    def _on_step(self) -> bool:
-        return True
+def advantages(rewards: np.ndarray, values: np.ndarray, over: np.ndarray, gamma: float, lam: float) -> np.ndarray:
+    """Generalised advantage estimation (Schulman et al., ICLR 2016), (T, R), of values (T + 1, R)."""
+    gains, after = np.empty_like(rewards), np.zeros(rewards.shape[1], np.float32)
+    for k in range(len(rewards) - 1, -1, -1):
+        goes_on = ~over[k]
+        error = rewards[k] + np.float32(gamma) * values[k + 1] * goes_on - values[k]
+        gains[k] = after = error + np.float32(gamma * lam) * goes_on * after
+    return gains
