@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import itertools
 
 from fovconn_env import scenario
 from fovconn_env.baselines.registry import POLICIES
-from fovconn_env.flights.metrics import Meter
-from fovconn_env.flights.rollout import rollout
+from fovconn_env.flights.metrics import compile_ahead
 
 
 def main() -> None:
@@ -19,8 +17,7 @@ def main() -> None:
     for name in given.policy:
         if name not in POLICIES:
             parser.error(f"POLICY must be one of {', '.join(POLICIES)}, got {name!r}")
-        for _ in itertools.islice(rollout(POLICIES[name], scenario(), [0], observers=[Meter()]), 2):
-            pass  # the reset, and one step
+        compile_ahead(POLICIES[name], scenario())
 
 
 if __name__ == "__main__":

@@ -10,12 +10,12 @@ import pytest
 
 import fovconn_env
 from fovconn_env import scenario
-from fovconn_env.training.bench import trees
+from fovconn_env.training.bench import paired, trees
 from fovconn_env.training.bench.cases import FULL, Effort, plans
 from fovconn_env.training.bench.paired import GOALS, LAPS, LEAST, Ratio, compare_speed, record
 from fovconn_env.training.bench.report import bar_table
 from fovconn_env.training.bench.trees import HERE, Cell, Difference, compare, run_in, running
-from fovconn_env.training.bench.waits import COMMAND, FIRST_STEP, KEYS, Wait, compare_waits, waits
+from fovconn_env.training.bench.waits import COMMAND, FIRST_STEP, KEYS, Spent, Wait, compare_waits, waits
 
 TINY = {"n_agents": 3, "warmup": 0.1, "max_cycles": 8}
 BRIEF = Effort(repetitions=3, seconds=0.0, batches=(2,), rows=2, robots=6, learn_steps=4)
@@ -125,6 +125,22 @@ def test_commands_take_turns(tmp_path, monkeypatch):
     assert told == [(k, 10) for k in range(10)]
     assert (len(set(folders[:4])), len(set(folders[4:]))) == (4, 2)
     assert not any(Path(folder).exists() for folder in folders)
+
+
+def test_processor_time_is_that_of_the_command():
+    """It ends after 0.1 s of it."""
+    busy = "import time\nwhile time.process_time() < 0.1: pass"
+    ((_, ((spent,),)),) = compare_waits([HERE], [Wait("cold", "cold", [sys.executable, "-c", busy])], 1)
+    assert spent.cpu >= 0.09  # counted in hundredths
+
+
+def test_less_time_than_the_other_tree_is_less_than_one(monkeypatch):
+    cold = waits("LeaderFollow-v0")[0]
+    rounds = [[Spent(1.0, 2.0), Spent(4.0, 4.0)], [Spent(3.0, 1.0), Spent(4.0, 4.0)]]
+    monkeypatch.setattr(paired, "compare_waits", lambda *_: iter([(cold, rounds)]))
+    wall, cpu = paired.compare_time(HERE, "LeaderFollow-v0", 2, ["cold"])
+    assert (wall.key, wall.each, wall.at_most) == ("cold", [0.25, 0.75], True)
+    assert (cpu.key, cpu.each, cpu.at_most) == ("cold cpu", [0.5, 0.25], True)
 
 
 def test_a_clone_holds_what_is_committed(tmp_path, monkeypatch):

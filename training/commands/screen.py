@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import sys
 import time
@@ -27,8 +26,7 @@ from rich.text import Text
 
 from fovconn_env import Scenario
 from fovconn_env.baselines import find_policy
-from fovconn_env.flights.metrics import Meter
-from fovconn_env.flights.rollout import rollout
+from fovconn_env.flights.metrics import compile_ahead
 from fovconn_env.text import literal
 from fovconn_env.training.evaluation import Evaluation
 from fovconn_env.training.evaluation.record import result_of
@@ -75,8 +73,7 @@ def progress() -> Iterator[Progress]:
 def warm_up(bar: Progress, chosen: Scenario, policy: str) -> None:
     """Load or compile the kernels under a line that says so."""
     task = bar.add_task("loading (compiles once, 15 s)", total=None)
-    for _ in itertools.islice(rollout(find_policy(policy), chosen, [0], observers=[Meter()]), 2):
-        pass  # the reset, and one step
+    compile_ahead(find_policy(policy), chosen)
     bar.update(task, total=1, completed=1, description="loaded")
 
 
