@@ -1,7 +1,10 @@
 """Fixtures that several files use."""
 
+import multiprocessing
 import os
 import sys
+from multiprocessing import forkserver
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -15,8 +18,27 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
+@pytest.fixture(scope="session")
+def _fork_server():
+    """The process that `warm` forks, see warm.py."""
+    from fovconn_env.training.evaluation.workers import _inherited  # not at the top: nor have they scipy
+
+    multiprocessing.set_forkserver_preload(["tests.warm"])
+    before = Path.cwd()
+    os.chdir(Path(__file__).parents[1])  # where it finds `tests`
+    with _inherited():
+        forkserver.ensure_running()
+    os.chdir(before)
+
+
 @pytest.fixture
-def fovconn(monkeypatch, capsys, tmp_path):
+def warm(_fork_server, monkeypatch):
+    """Processes that fly are forks of one that has loaded what they need; test_processes.py starts them as users do."""
+    monkeypatch.setattr("fovconn_env.training.evaluation.workers.START", "forkserver")
+
+
+@pytest.fixture
+def fovconn(warm, monkeypatch, capsys, tmp_path):
     """Run the command in this process: status, stdout, stderr."""
     from fovconn_env.training import cli  # not at the top: the libraries' environments have no rich
 

@@ -15,6 +15,7 @@ from fovconn_env.training.evaluation.shelf import Cell, Shelf, code_hash, finger
 ROOT = Path(__file__).parents[2]
 TINY = {"n_agents": 3, "max_cycles": 30, "warmup": 0.2}
 TASK = scenario("LeaderFollow-v0", **TINY)
+pytestmark = pytest.mark.usefixtures("warm")
 CELLS = [Cell("expert", TASK), Cell("oracle", TASK), Cell("expert", scenario("Regroup-v0", **TINY))]
 
 

@@ -151,23 +151,13 @@ def test_flights_are_not_replaced_without_a_word(fovconn, words, name):
 
 
 @pytest.mark.parametrize("columns, brackets", [("200", True), ("72", False)])
-def test_tables_fit_the_terminal(columns, brackets, tmp_path):
+def test_tables_fit_the_terminal(columns, brackets, fovconn, tmp_path):
     """A narrow one gets the numbers without their intervals, not cut off."""
+    words = ["eval", "--policy", "expert", "--policy", "zero", "--seeds", "0-1", *TINY, "--out", str(tmp_path)]
+    assert fovconn(*words).status == 0  # so that the process below has nothing to fly
     variables = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": columns}
-    words = [
-        sys.executable,
-        "-m",
-        "fovconn_env.training.cli",
-        "eval",
-        "--policy",
-        "expert",
-        "--policy",
-        "zero",
-        "--seeds",
-        "0-1",
-    ]
-    words += [*TINY, "--out", str(tmp_path)]
-    task = subprocess.run(words, env=variables, capture_output=True, text=True, check=True)
+    command = [sys.executable, "-m", "fovconn_env.training.cli", *words]
+    task = subprocess.run(command, env=variables, capture_output=True, text=True, check=True)
     assert ("[" in task.stdout.splitlines()[3]) == brackets
     assert "…" not in task.stdout
 

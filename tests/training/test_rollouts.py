@@ -19,6 +19,7 @@ from tests.helpers import SETTLED
 SEED, STEPS = 3, 30
 CHANGES = {"n_agents": 3, "max_cycles": STEPS, "warmup": 0.5, "course": SETTLED}
 TASK = scenario("LeaderObstacles-v0", **CHANGES)
+pytestmark = pytest.mark.usefixtures("warm")
 OWN = """
 from fovconn_env.baselines import Expert
 class Own(Expert):

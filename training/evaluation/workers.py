@@ -22,6 +22,7 @@ from fovconn_env.training.evaluation.interruption import SIGNALS, Interrupted, n
 
 Watch = Callable[[float], bool]  # told how much of an order is done; False from it breaks off
 _POLL, _TELL, _GRACE = 0.1, 0.1, 10.0  # s: between two looks, between two reports, for a step that is being flown
+START = "spawn"  # a fork would copy threads that do not run in the child
 # One thread a process: several processes that each start one a core wait for each other.
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
@@ -89,7 +90,7 @@ class _Worker:
     """A process and the order that it works on, None without one."""
 
     def __init__(self, work: Callable[..., Any]) -> None:
-        context = multiprocessing.get_context("spawn")  # a fork would copy threads that do not run in the child
+        context = multiprocessing.get_context(START)
         self.connection, other = context.Pipe()
         self.process = context.Process(target=_serve, args=(other, work))
         with _inherited():
