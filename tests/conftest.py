@@ -9,8 +9,12 @@ from types import SimpleNamespace
 
 import pytest
 
+from tests.plain import quicken_records
+
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # windows of the render mode "human" open nowhere
 os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
+if os.environ.get("NUMBA_DISABLE_JIT") == "1":
+    quicken_records()
 
 
 def pytest_collection_modifyitems(items):

@@ -47,6 +47,8 @@ def record(case):
 @pytest.mark.parametrize("case", CASES)
 def test_compiled_and_plain_agree(case, tmp_path):
     program = f"import sys, numpy; from {__name__} import record; numpy.savez(sys.argv[1], **record({case!r}))"
+    if JIT:
+        program = f"from tests.plain import quicken_records; quicken_records(); {program}"
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1" if JIT else "0"}
     command = [sys.executable, "-c", program, str(tmp_path / "other.npz")]
     other = subprocess.Popen(command, cwd=Path(__file__).parents[2], env=environment)
