@@ -119,7 +119,7 @@ def random_corridor(rng):
 def random_task(rng):
     spacing, kind = rng.uniform(0.6, 1.8), rng.random()
     corridor = kind < 0.2
-    return scenario(
+    task = dict(
         n_agents=int(rng.integers(2, 8)),
         leader="waypoints" if corridor or rng.random() < 0.8 else "none",
         start=Start(
@@ -131,16 +131,17 @@ def random_task(rng):
         course=Course(legs=int(rng.integers(1 + corridor, 5)), leg=rng.uniform(2, 10)),
         map=random_corridor(rng) if corridor else random_forest(rng) if kind < 0.8 else random_map(rng),
     )
+    return scenario(**task, **between_levels(rng, task))
 
 
 def between_levels(rng, task):
-    """The same task, half of the time with a floor, a ceiling or both, which may cut into the box of the starts."""
-    reach, margin = task.start.box[2] / 2, max(task.start.clearance, task.collision_obstacle)
+    """Half of the time a floor, a ceiling or both for this task, which may cut into the box of the starts."""
+    reach, margin = task["start"].box[2] / 2, max(task["start"].clearance, scenario().collision_obstacle)
     floor, ceiling = rng.uniform(margin - reach, margin + 3.0, 2)
     if floor + ceiling < 2 * margin or rng.random() < 0.5:
-        return task
+        return {}
     chosen = rng.permutation(["floor", "ceiling"])[: rng.integers(1, 3)]
-    return scenario(task, **{level: {"floor": -floor, "ceiling": ceiling}[level] for level in chosen})
+    return {level: {"floor": -floor, "ceiling": ceiling}[level] for level in chosen}
 
 
 def most_draws(task):
@@ -154,14 +155,18 @@ def most_draws(task):
     return starts.MAX_MAPS * (2 * starts.MAX_TRIES + course + obstacles)
 
 
-def check(seed):
-    """Draw one start; is there one? Raises AssertionError if it breaks a rule."""
-    rng = np.random.default_rng([seed, 5])
-    task = between_levels(rng, random_task(rng))
+def check(seed, draws=1):
+    """Draw starts of one scenario; how many were there? Raises AssertionError if one breaks a rule."""
+    task = random_task(np.random.default_rng([seed, 5]))
+    sampler = starts.StartSampler(task)
+    return sum(check_start(task, sampler, [seed, k]) for k in range(draws))
+
+
+def check_start(task, sampler, seed):
     counting = Counting(seed)
     found, said = None, KNOWN[0]
     try:
-        found = starts.StartSampler(task).draw(counting)
+        found = sampler.draw(counting)
     except ValueError as problem:
         said = str(problem)
     assert counting.count <= most_draws(task)
@@ -195,7 +200,8 @@ def test_starts_keep_their_distances():
 
 @pytest.mark.slow
 def test_ten_thousand_starts_keep_their_distances():
-    found = [check(seed) for seed in range(10_000)]
+    """Five of each of two thousand scenarios."""
+    found = [check(seed, draws=5) for seed in range(2_000)]
     assert sum(found) >= 9_000
 
 
