@@ -11,7 +11,7 @@ import pytest
 
 from fovconn_env import layout, scenario
 from fovconn_env.kernel import records, step
-from fovconn_env.kernel.jit import entry
+from fovconn_env.kernel.jit import entry, large_entry
 from fovconn_env.kernel.maths import random
 from fovconn_env.kernel.onboard import robot
 from fovconn_env.kernel.onboard.messages import Message, Outbox, Round
@@ -69,7 +69,7 @@ class Orders(NamedTuple):
     stick: tuple[float, float, float]
 
 
-@entry
+@large_entry
 def call(orders, turn, memory, said, heard, contacts, work, bounds, params):
     """The functions of a part of a tick."""
     p, m, slot = params[0], memory, orders.slot
@@ -149,7 +149,7 @@ def start_draws(key, draws):
         draws[i] = 2.0 * random.uniform(random.draw(key, 0, i, random.START)) - 1.0
 
 
-@entry
+@large_entry
 def nature(task, state, world, own, params, actions, tick):
     """The world's part: a TICK up to the sensors (the first one of a step: 0, of a warm-up: -1), AIR, END of a step."""
     p, episode, bodies, pairs = params[0], state.episode[0], state.body[0], state.pair[0]

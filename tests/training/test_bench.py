@@ -210,7 +210,7 @@ def test_without_stable_baselines(monkeypatch):
 # --------------------------------------------------------------------------------------------------------------- memory
 def test_peak_memory_is_that_of_its_own_process():
     """What this process holds does not count, though `getrusage` in a child would say so."""
-    ballast = np.ones(2**27)  # 1 GiB
+    ballast = np.ones(2**26)  # 0.5 GiB
     found = peak_memory(TINY, 2)
     assert 2**24 < found.imports <= found.peak < ballast.nbytes
 
