@@ -17,6 +17,13 @@ if os.environ.get("NUMBA_DISABLE_JIT") == "1":
     quicken_records()
 
 
+def pytest_ignore_collect(collection_path, config):
+    """With `-m nojit`, files without such tests, and what they import, are not loaded."""
+    if config.option.markexpr == "nojit" and collection_path.name.startswith("test_"):
+        return True if "nojit" not in collection_path.read_text("utf-8") else None
+    return None
+
+
 def pytest_collection_modifyitems(items):
     """What takes longest comes first, so that no process is left with it at the end."""
     items.sort(key=lambda item: item.get_closest_marker("slow") is None)
@@ -37,7 +44,7 @@ def _fork_server():
 
 @pytest.fixture
 def warm(_fork_server, monkeypatch):
-    """Processes that fly are forks of one that has loaded what they need; test_processes.py starts them as users do."""
+    """Processes that fly are forks of one that has loaded what they need, not new ones as a user's."""
     monkeypatch.setattr("fovconn_env.training.evaluation.workers.START", "forkserver")
 
 

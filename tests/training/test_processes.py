@@ -29,11 +29,6 @@ TINY = {"n_agents": 3, "max_cycles": 30, "warmup": 0.2}
 TASK = scenario("LeaderFollow-v0", **TINY)
 
 
-@pytest.fixture
-def warm():
-    """Not here: processes start as users' do."""
-
-
 class Odd(Exception):
     """Its arguments cannot be pickled, and `BaseException` cannot make it again."""
 

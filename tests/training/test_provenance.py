@@ -21,6 +21,7 @@ from fovconn_env.training.evaluation.provenance import Reads, changed, merge, pa
 from fovconn_env.training.evaluation.shelf import EVALUATION, Cell, Flown, Shelf, fingerprint
 
 TASK = scenario("LeaderFollow-v0", n_agents=3, max_cycles=20, warmup=0.1)
+pytestmark = pytest.mark.usefixtures("warm")
 POLICY = """
 import numpy as np
 from fovconn_env.baselines import Policy
