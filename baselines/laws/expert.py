@@ -59,16 +59,21 @@ class Gains:
         rule(ordered, "Gains.closest", "between d_min_obs and d_max_obs", self.closest, hint)
 
 
+def pack(gains: Gains) -> np.ndarray:
+    """The gains as the kernels read them, a record (1,)."""
+    record = np.zeros(1, GAINS)
+    for name in _GAINS:
+        record[name] = getattr(gains, name)
+    return record
+
+
 class Expert(Policy):
     """The paper's connectivity-maintenance controller with collision avoidance, saturated as a sum."""
 
     def __init__(self, scenario: Scenario, gains: Gains | None = None) -> None:
         super().__init__(scenario)
         self.gains = gains or Gains()
-        self._params = scenario.params()
-        self._gains = np.zeros(1, GAINS)
-        for name in GAINS.names or ():
-            self._gains[name] = getattr(self.gains, name)
+        self._params, self._gains = scenario.params(), pack(self.gains)
 
     def decide(self, flat: np.ndarray) -> np.ndarray:
         """Actions (R, 4) for flat observations (R, D)."""
@@ -208,23 +213,35 @@ def limit_feed_forward(forward, velocity, stick):
     return fx - surplus * sx, fy - surplus * sy, fz - surplus * sz
 
 
+@kernel
+def write_action(me, neighbors, ranges, stick, p, g, action):
+    """Write a robot's action (4,); stick: the motion that is added to it, m/s, yaw frame."""
+    top = p.speed_limit + p.stick_speed
+    sx, sy, sz = stick
+    cx, cy, cz, yaw_rate = connectivity_action(me, neighbors, p, g)
+    ox, oy, oz = repulsion(ranges, g)
+    cx += excitation(neighbors, p, g)
+    gx, gy, gz = cohesion(me, neighbors, p, g)
+    wx, wy, wz = cx + ox + sx + gx, cy + oy + sy + gy, cz + oz + sz + gz
+    fx, fy, fz = limit_feed_forward(feed_forward(neighbors, g), (wx, wy, wz), (sx, sy, sz))
+    # the sum is saturated, not its terms: the operator cannot override one of them
+    vx, vy, vz = saturate(wx + fx, wy + fy, wz + fz, p.speed_limit)
+    action[0] = (vx - sx) / top  # the environment adds the stick again
+    action[1] = (vy - sy) / top
+    action[2] = (vz - sz) / top
+    action[3] = min(max(yaw_rate / p.yaw_rate_limit, -1.0), 1.0)
+
+
 @entry
 def control(own, neighbors, ranges, params, gains, actions):
     """Fill actions (R, 4) from the record rows own (R,), neighbors (R, M) and ranges (R, K)."""
     p, g = params[0], gains[0]
-    top = p.speed_limit + p.stick_speed
     for r in range(own.shape[0]):
         me = own[r]
-        sx, sy, sz = np.float64(me.stick_x), np.float64(me.stick_y), np.float64(me.stick_z)
-        cx, cy, cz, yaw_rate = connectivity_action(me, neighbors[r], p, g)
-        ox, oy, oz = repulsion(ranges[r], g)
-        cx += excitation(neighbors[r], p, g)
-        gx, gy, gz = cohesion(me, neighbors[r], p, g)
-        wx, wy, wz = cx + ox + sx + gx, cy + oy + sy + gy, cz + oz + sz + gz
-        fx, fy, fz = limit_feed_forward(feed_forward(neighbors[r], g), (wx, wy, wz), (sx, sy, sz))
-        # the sum is saturated, not its terms: the operator cannot override one of them
-        vx, vy, vz = saturate(wx + fx, wy + fy, wz + fz, p.speed_limit)
-        actions[r, 0] = (vx - sx) / top  # the environment adds the stick again
-        actions[r, 1] = (vy - sy) / top
-        actions[r, 2] = (vz - sz) / top
-        actions[r, 3] = min(max(yaw_rate / p.yaw_rate_limit, -1.0), 1.0)
+        write_action(me, neighbors[r], ranges[r], stick_of(me), p, g, actions[r])
+
+
+@kernel
+def stick_of(me):
+    """The stick of a robot, m/s, yaw frame."""
+    return np.float64(me.stick_x), np.float64(me.stick_y), np.float64(me.stick_z)

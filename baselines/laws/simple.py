@@ -6,15 +6,16 @@ action is the same alone and in any batch.
 
 from __future__ import annotations
 
-import functools
+import math
 from abc import abstractmethod
 
 import numpy as np
 
-from fovconn_env.baselines.laws.expert import Expert
+from fovconn_env.baselines.laws.expert import Gains, pack, write_action
 from fovconn_env.baselines.policy import Policy
-from fovconn_env.kernel.jit import entry
+from fovconn_env.kernel.jit import entry, formula, kernel
 from fovconn_env.kernel.maths.random import draw, uniform
+from fovconn_env.layout import Rows
 from fovconn_env.scenarios.scenario import Scenario
 
 
@@ -44,21 +45,16 @@ class Flock(Policy):
 
     def __init__(self, scenario: Scenario) -> None:
         super().__init__(scenario)
-        self._expert = Expert(scenario)
+        self._params, self._gains = scenario.params(), pack(Gains())
 
     @abstractmethod
-    def desired_motion(self, own: np.ndarray, neighbors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Velocity (m/s) and direction for the camera, (R, 3) each, yaw frame, from rows own (R,), neighbors (R, M).
-
-        A direction of zero means that the robot turns on the spot.
-        """
+    def fill(self, rows: Rows, actions: np.ndarray) -> None:
+        """Fill actions (R, 4) from the rows of R robots."""
 
     def decide(self, flat: np.ndarray) -> np.ndarray:
         """Actions (R, 4) for flat observations (R, D)."""
-        own, neighbors, _ = self.rows(flat)
-        velocity, aim = self.desired_motion(own, neighbors)
-        actions = velocity_actions(self._expert, flat, velocity)
-        actions[:, 3] = turn_camera(aim, self.scenario.camera.unit_axis)
+        actions = np.empty((len(flat), 4), np.float32)
+        self.fill(self.rows(flat), actions)
         return actions
 
 
@@ -70,15 +66,9 @@ class Follow(Flock):
 
     gain = 1.0  # 1/s, speed of approach per distance beyond D1
 
-    def desired_motion(self, own: np.ndarray, neighbors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean over the robots it sees of gain max(d - D1, 0) b; looks at these, else at the robots that see it."""
-        seen = (neighbors["f_ij"] > 0).astype(np.float64)
-        directions, count = bearings(neighbors), sum_rows(seen)
-        excess = np.maximum(neighbors["distance"].astype(np.float64) - self.scenario.camera.D1, 0.0)
-        velocity = sum_rows((self.gain * seen * excess)[..., None] * directions) / np.maximum(count, 1.0)[:, None]
-        velocity[own["is_leader"] > 0] = 0.0
-        aim = np.where(count[:, None] > 0, sum_rows(seen[..., None] * directions), sum_rows(directions))
-        return velocity, aim
+    def fill(self, rows: Rows, actions: np.ndarray) -> None:
+        """Fill actions (R, 4), see `follow`."""
+        follow(*rows, self._params, self._gains, self.gain, actions)
 
 
 class Springs(Flock):
@@ -94,66 +84,124 @@ class Springs(Flock):
     damping = 0.5  # c, as a share of the drag
     closest = 0.02  # m, distances are clamped to d_min + closest: the barrier is at d_min
 
-    def desired_motion(self, own: np.ndarray, neighbors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The velocity above, and the mean direction of all neighbours with a known bearing."""
-        directions, valid = bearings(neighbors), (neighbors["yaw_valid"] > 0).astype(np.float64)
-        force = sum_rows(self.spring(neighbors["distance"].astype(np.float64))[..., None] * directions)
-        c, s = neighbors["cos_yaw"].astype(np.float64), neighbors["sin_yaw"].astype(np.float64)
-        x, y, z = (neighbors[f"v{axis}"].astype(np.float64) for axis in "xyz")
-        velocities = np.stack([c * x - s * y, s * x + c * y, z], axis=-1)  # iR_j v_j
-        drag = 1.0 + self.damping * sum_rows(valid)
-        velocity = (force + self.damping * sum_rows(valid[..., None] * velocities)) / drag[:, None]
-        return velocity, sum_rows(directions)
+    def fill(self, rows: Rows, actions: np.ndarray) -> None:
+        """Fill actions (R, 4), see `follow_springs`."""
+        follow_springs(*rows, self._params, self._gains, self.law, actions)
 
-    def spring(self, distance: np.ndarray) -> np.ndarray:
-        """Pull of a spring, m/s, from the distance (m): a barrier at d_min, weaker from D2 on, 0 from d_max on."""
-        camera = self.scenario.camera
-        rest = camera.D1 + self.rest * (camera.D2 - camera.D1)
-        clamped = np.maximum(distance, camera.d_min + self.closest)
-        barrier = (rest - camera.d_min) / (clamped - camera.d_min)
-        fading = np.clip((camera.d_max - distance) / (camera.d_max - camera.D2), 0.0, 1.0)
-        return self.stiffness * (clamped - rest) * np.where(clamped < rest, barrier, fading)
+    @property
+    def law(self) -> tuple[float, float, float, float]:
+        """Its numbers, as the kernel takes them."""
+        return self.stiffness, self.rest, self.closest, self.damping
 
 
-def velocity_actions(expert: Expert, flat: np.ndarray, velocity: np.ndarray, *, keep_links: bool = False) -> np.ndarray:
-    """Actions (R, 4), saturated as a sum: velocity (R, 3; m/s, yaw frame), the expert's repulsion and the stick.
+@entry
+def follow(own, neighbors, ranges, params, gains, gain, actions):
+    """Fill actions of `Follow`: the velocity is the mean of gain max(d - D1, 0) b over the robots that it sees.
 
-    The expert gets the velocity as a stick, without neighbour rows, so that the yaw rate is 0. keep_links: with the
-    neighbour rows, so that the expert's connectivity action is part of the sum.
+    The camera turns to the mean direction of these, else of the robots that see it.
     """
-    top = expert.scenario.speed_limit + expert.scenario.stick_speed
-    observations = flat.copy()
-    own, neighbors, _ = expert.rows(observations)
-    if not keep_links:
-        neighbors["present"] = 0.0
-    for k, axis in enumerate("xyz"):
-        own[f"stick_{axis}"] += velocity[:, k]
-    actions = expert.decide(observations)
-    actions[:, :3] = np.clip(actions[:, :3] + velocity / top, -1.0, 1.0)  # the environment adds the real stick alone
-    return actions
+    p, g = params[0], gains[0]
+    for r in range(own.shape[0]):
+        me, count = own[r], 0.0
+        velocity = seen = known = (0.0, 0.0, 0.0)
+        for j in range(neighbors.shape[1]):
+            row = neighbors[r, j]
+            b = bearing(row)
+            known = add(known, 1.0, b)
+            if row.f_ij > 0.0:
+                count += 1.0
+                seen = add(seen, 1.0, b)
+                velocity = add(velocity, gain * max(np.float64(row.distance) - p.D1, 0.0), b)
+        velocity = divide(velocity, max(count, 1.0))
+        if me.is_leader > 0.0:
+            velocity = (0.0, 0.0, 0.0)
+        write_motion(me, neighbors[r, :0], ranges[r], velocity, p, g, actions[r])
+        actions[r, 3] = turn_camera(seen if count > 0.0 else known, p)
 
 
-def turn_camera(aim: np.ndarray, axis: tuple[float, float, float]) -> np.ndarray:
-    """Yaw rates (R,), shares of the limit, that turn the camera to the direction `aim` (R, 3); left where it is zero.
+@entry
+def follow_springs(own, neighbors, ranges, params, gains, law, actions):
+    """Fill actions of `Springs`; law: its numbers. The camera turns to the mean direction of all neighbours."""
+    p, g, damping = params[0], gains[0], law[3]
+    for r in range(own.shape[0]):
+        force = drift = known = (0.0, 0.0, 0.0)
+        drag = 0.0
+        for j in range(neighbors.shape[1]):
+            row = neighbors[r, j]
+            b = bearing(row)
+            known = add(known, 1.0, b)
+            force = add(force, spring(np.float64(row.distance), law, p), b)
+            if row.yaw_valid > 0.0:
+                drag += 1.0
+                c, s = np.float64(row.cos_yaw), np.float64(row.sin_yaw)
+                x, y, z = np.float64(row.vx), np.float64(row.vy), np.float64(row.vz)
+                drift = add(drift, 1.0, (c * x - s * y, s * x + c * y, z))  # iR_j v_j
+        velocity = divide(add(force, damping, drift), 1.0 + damping * drag)
+        write_motion(own[r], neighbors[r, :0], ranges[r], velocity, p, g, actions[r])
+        actions[r, 3] = turn_camera(known, p)
+
+
+@formula
+def spring(distance, law, p):
+    """Pull of a spring, m/s, from the distance (m): a barrier at d_min, weaker from D2 on, 0 from d_max on."""
+    stiffness, rest, closest, _ = law
+    rest = p.D1 + rest * (p.D2 - p.D1)
+    clamped = max(distance, p.d_min + closest)
+    if clamped < rest:
+        return stiffness * (clamped - rest) * ((rest - p.d_min) / (clamped - p.d_min))  # the barrier
+    return stiffness * (clamped - rest) * min(max((p.d_max - distance) / (p.d_max - p.D2), 0.0), 1.0)
+
+
+@kernel
+def write_motion(me, neighbors, ranges, velocity, p, g, action):
+    """Write an action (4,), saturated as a sum: a velocity (m/s, yaw frame), the expert's repulsion and the stick.
+
+    The expert gets the velocity with the stick, and the environment adds the real stick alone. With neighbour rows, the
+    expert's connectivity action is part of the sum; with none, the yaw rate is 0.
+    """
+    top = p.speed_limit + p.stick_speed
+    ux, uy, uz = velocity
+    sx, sy, sz = np.float64(me.stick_x) + ux, np.float64(me.stick_y) + uy, np.float64(me.stick_z) + uz
+    # a column of an observation is a float32
+    stick = np.float64(np.float32(sx)), np.float64(np.float32(sy)), np.float64(np.float32(sz))
+    write_action(me, neighbors, ranges, stick, p, g, action)
+    action[0] = min(max(np.float64(action[0]) + ux / top, -1.0), 1.0)
+    action[1] = min(max(np.float64(action[1]) + uy / top, -1.0), 1.0)
+    action[2] = min(max(np.float64(action[2]) + uz / top, -1.0), 1.0)
+
+
+@formula
+def turn_camera(aim, p):
+    """Yaw rate, a share of the limit, that turns the camera to the direction `aim`; the full one where that is zero.
 
     The sine of the angle in plan where the aim is in front of the camera, the full rate where it is behind.
     """
-    x, y, _ = aim.T
-    across, ahead = axis[0] * y - axis[1] * x, axis[0] * x + axis[1] * y
-    length = np.sqrt(across * across + ahead * ahead)
-    sine = across / np.where(length > 0.0, length, 1.0)
-    rate = np.where(ahead < 0.0, np.where(across < 0.0, -1.0, 1.0), sine)
-    return np.where(aim.any(axis=1), rate, 1.0)
+    x, y, z = aim
+    if x == 0.0 and y == 0.0 and z == 0.0:
+        return 1.0
+    across, ahead = p.axis_x * y - p.axis_y * x, p.axis_x * x + p.axis_y * y
+    if ahead < 0.0:
+        return -1.0 if across < 0.0 else 1.0
+    length = math.sqrt(across * across + ahead * ahead)
+    return across / length if length > 0.0 else 0.0
 
 
-def bearings(neighbors: np.ndarray) -> np.ndarray:
-    """Unit vectors (R, M, 3) to the neighbours, yaw frame; zero where unknown."""
-    return np.stack([neighbors[f"bearing_{axis}"].astype(np.float64) for axis in "xyz"], axis=-1)
+@kernel
+def bearing(row):
+    """Unit vector to a neighbour, yaw frame; zero where it is unknown."""
+    return np.float64(row.bearing_x), np.float64(row.bearing_y), np.float64(row.bearing_z)
 
 
-def sum_rows(rows: np.ndarray) -> np.ndarray:
-    """Sum over the neighbour rows in their order, (R, M, ...) to (R, ...)."""
-    return functools.reduce(np.add, rows.swapaxes(0, 1))
+@kernel
+def add(total, scale, vector):
+    """total + scale vector."""
+    return total[0] + scale * vector[0], total[1] + scale * vector[1], total[2] + scale * vector[2]
+
+
+@kernel
+def divide(vector, number):
+    """vector / number."""
+    return vector[0] / number, vector[1] / number, vector[2] / number
 
 
 @entry

@@ -1,5 +1,6 @@
 """Every policy of the registry, the simple laws and the search by hand-built observations, and policies from a file."""
 
+import functools
 import subprocess
 import sys
 from pathlib import Path
@@ -10,10 +11,9 @@ import pytest
 from fovconn_env import layout, scenario
 from fovconn_env.baselines import POLICIES, Expert, Policy, find_policy, load_policy
 from fovconn_env.baselines.laws.recovery import Recovery
-from fovconn_env.baselines.laws.simple import Follow, Random, Springs, Zero, sum_rows, turn_camera
+from fovconn_env.baselines.laws.simple import Follow, Random, Springs, Zero, spring, turn_camera
 from fovconn_env.baselines.learned.policy import Learned
 from fovconn_env.baselines.policy import scenario_of
-from fovconn_env.scenarios.settings import Camera
 from fovconn_env.sim.simulator import Simulator
 from tests.helpers import COARSE, SETTLED, few, recorded_actions, small
 
@@ -159,18 +159,54 @@ def test_random_repeats_in_another_process(tmp_path):
 
 # ----------------------------------------------------------------------------------------------------- follow
 def test_look_turns_the_camera_not_the_nose():
-    axis = Camera().unit_axis  # 45 deg left of the nose
+    p = scenario().params()[0]
+    assert p.axis_x == p.axis_y > 0.0  # 45 deg left of the nose
     aims = {(1, 1, 0): 0.0, (1, 0, 0): -HALF, (0, 1, 0): HALF, (-1, 0, 0): 1.0, (0, -1, 0): -1.0, (-1, -1, 0): 1.0}
     aims |= {(0, 0, 0): 1.0, (0, 0, 1): 0.0, (0.5, 0, 3): -HALF}
-    np.testing.assert_allclose(turn_camera(np.array([*aims], float), axis), [*aims.values()], atol=1e-15)
+    turned = [turn_camera(tuple(map(float, aim)), p) for aim in aims]
+    np.testing.assert_allclose(turned, [*aims.values()], atol=1e-15)
 
 
-def test_total_adds_in_order():
-    rows = np.random.default_rng(0).random((5, 8, 3))
-    expected = np.zeros((5, 3))
-    for m in range(8):
-        expected += rows[:, m]
-    np.testing.assert_array_equal(sum_rows(rows), expected)
+def reference_motion(policy, flat):
+    """Velocity and direction for the camera of `Follow` and `Springs`, (R, 3) each; sums in the order of the rows."""
+    own, rows, _ = policy.rows(flat)
+    camera, number = policy.scenario.camera, {name: rows[name].astype(np.float64) for name in rows.dtype.names}
+    b = np.stack([number[f"bearing_{axis}"] for axis in "xyz"], axis=-1)
+
+    def total(terms):
+        return functools.reduce(np.add, terms.swapaxes(0, 1))
+
+    if isinstance(policy, Follow):
+        seen = (rows["f_ij"] > 0).astype(np.float64)
+        pull = policy.gain * seen * np.maximum(number["distance"] - camera.D1, 0.0)
+        velocity = total(pull[..., None] * b) / np.maximum(total(seen), 1.0)[:, None]
+        velocity[own["is_leader"] > 0] = 0.0
+        return velocity, np.where(total(seen)[:, None] > 0, total(seen[..., None] * b), total(b))
+    p = policy.scenario.params()[0]
+    pull = np.array([[spring(d, policy.law, p) for d in distances] for distances in number["distance"]])
+    c, s, known = number["cos_yaw"], number["sin_yaw"], (rows["yaw_valid"] > 0).astype(np.float64)
+    x, y, z = (number[f"v{axis}"] for axis in "xyz")
+    drift = total(known[..., None] * np.stack([c * x - s * y, s * x + c * y, z], axis=-1))
+    force = total(pull[..., None] * b)
+    return (force + policy.damping * drift) / (1.0 + policy.damping * total(known))[:, None], total(b)
+
+
+@pytest.mark.parametrize("kind", [Follow, Springs])
+def test_a_flock_flies_its_formulas_to_the_last_bit(kind, seen):
+    """With the expert's repulsion: the expert without neighbours, whose stick is the velocity."""
+    policy = kind(small())
+    velocity, aim = reference_motion(policy, seen)
+    pushed = seen.copy()
+    own, neighbors, _ = policy.rows(pushed)
+    neighbors["present"] = 0.0
+    for k, axis in enumerate("xyz"):
+        own[f"stick_{axis}"] += velocity[:, k]
+    expected = Expert(policy.scenario).decide(pushed)
+    expected[:, :3] = np.clip(expected[:, :3] + velocity / TOP, -1.0, 1.0)
+    p = policy.scenario.params()[0]
+    expected[:, 3] = [turn_camera(tuple(each), p) for each in aim]
+    np.testing.assert_array_equal(policy.decide(seen), expected)
+    assert (np.abs(velocity).sum(axis=1) > 0.1).sum() > few(100, 10)
 
 
 def test_follow():
@@ -214,11 +250,12 @@ def test_springs_pull_and_push():
     for distance, speed in {4.0: 0.0, 6.0: 1.0, 8.0: 1.0, 9.0: 0.0, 3.0: -0.75, 2.0: -1.5, 0.9: -1.5}.items():
         got = flown(policy, {**AHEAD, "distance": distance})
         np.testing.assert_allclose(got, [speed, 0, 0, -HALF], atol=2e-5, err_msg=str(distance))
+    law, p = policy.law, policy.scenario.params()[0]
     grid = np.linspace(1.03, 9.0, 400)
-    pull = policy.spring(grid)
+    pull = np.array([spring(distance, law, p) for distance in grid])
     assert (np.diff(pull[grid <= 4.0]) > 0).all()
-    assert policy.spring(np.array([1.02]))[0] < -100  # the barrier
-    np.testing.assert_array_equal(policy.spring(np.array([9.0, 12.0])), 0.0)
+    assert spring(1.02, law, p) < -100  # the barrier
+    assert spring(9.0, law, p) == spring(12.0, law, p) == 0.0
 
 
 def test_springs_with_a_known_bearing_only():

@@ -66,7 +66,7 @@ def progress() -> Iterator[Progress]:
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=err) as bar:
+    with Progress(*columns, console=err, auto_refresh=err.is_terminal) as bar:  # elsewhere the last state alone is seen
         yield bar
 
 

@@ -38,7 +38,6 @@ class Comparison(NamedTuple):
     policies: list[str]
     scenarios: list[str]
     compared: dict[tuple[str, str], Compared]  # by scenario and policy
-    overall: list[Result]  # of the policies that flew every scenario
 
     def on(self, scenario: str) -> dict[str, Compared]:
         """What there is of one scenario, by policy."""
@@ -48,13 +47,20 @@ class Comparison(NamedTuple):
         """All results, scenario by scenario."""
         return [compared.result for compared in self.compared.values()]
 
+    @property
+    def overall(self) -> list[Result]:
+        """The results over all scenarios, of the policies that flew every one."""
+        flown = self.compared.keys()
+        everywhere = [policy for policy in self.policies if all((name, policy) in flown for name in self.scenarios)]
+        return [_overall(policy, self.scenarios, self.compared) for policy in everywhere]
+
 
 def compare(
     evaluations: Sequence[Evaluation],
     settings: Mapping[str, Any] | None = None,
     known: Mapping[tuple[str, str], Compared] | None = None,
 ) -> Comparison:
-    """Set policies against the expert, scenario by scenario and over all of them.
+    """Set policies against the expert, scenario by scenario.
 
     settings: changed from the presets, for the results; known: what was compared before, by scenario and policy. Raises
     `ValueError` if two policies flew different seeds of a scenario, or one flew a scenario twice.
@@ -70,9 +76,7 @@ def compare(
         for policy, evaluation in group.items()
     }
     policies = list(dict.fromkeys(evaluation.policy for evaluation in evaluations))
-    everywhere = [policy for policy in policies if all((name, policy) in compared for name in by_scenario)]
-    overall = [_overall(policy, list(by_scenario), compared) for policy in everywhere]
-    return Comparison(policies, list(by_scenario), compared, overall)
+    return Comparison(policies, list(by_scenario), compared)
 
 
 def paired(a: Evaluation, b: Evaluation) -> dict[str, Estimate]:

@@ -43,10 +43,12 @@ class Survival(NamedTuple):
 
 def share_interval(hits: np.ndarray) -> tuple[float, float]:
     """Wilson's score interval of a share; hits: (E,) of 0 and 1."""
-    from scipy import stats
+    from scipy.special import ndtri
 
-    interval = stats.binomtest(int(hits.sum()), len(hits)).proportion_ci(LEVEL, method="wilson")
-    return float(interval.low), float(interval.high)
+    count, share, z = len(hits), int(hits.sum()) / len(hits), float(ndtri(0.5 + LEVEL / 2))
+    width = 2 * (count + z**2)
+    centre, reach = (2 * count * share + z**2) / width, z / width * math.sqrt(4 * count * share * (1 - share) + z**2)
+    return 0.0 if share == 0 else centre - reach, 1.0 if share == 1 else centre + reach
 
 
 def paired_share_difference(a: np.ndarray, b: np.ndarray) -> Estimate:
