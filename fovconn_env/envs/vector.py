@@ -24,7 +24,7 @@ from fovconn_env.scenarios.presets import scenario
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.graph import Graph
 from fovconn_env.sim.seeds import Seed, world_seeds
-from fovconn_env.sim.simulator import MAX_WORLDS, Simulator
+from fovconn_env.sim.simulator import MAX_WORLDS, Results, Simulator
 
 OWN = "num_envs autoreset_mode render_mode robot_rewards max_episode_steps n_threads".split()
 
@@ -86,7 +86,9 @@ class VectorEnv(PlainSpec, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np
         self.simulator.reset(seeds, mask=mask, poses=poses)
         super().reset(seed=seeds[0])
         self._viewer.show(self.simulator)
-        return self.simulator.observations.copy(), self._infos()
+        results = self._empty_results()
+        self.simulator.copy_results(results, slice(None))
+        return results.observations, _by_name(results.infos)
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Apply actions (B, N, 4). The autoreset mode defines what happens to a world that ends.
@@ -104,24 +106,25 @@ class VectorEnv(PlainSpec, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np
             )
         if over.all() and not simulator.state.episode["n_rounds"].any():
             raise gymnasium.error.ResetNeeded("step() needs episodes under way: call reset() first")
-        observations = np.empty_like(simulator.observations)
-        simulator.step(actions, into=observations)
+        results = self._empty_results()
+        simulator.step(actions, into=results)
         if over.any():  # NEXT_STEP: worlds that ended in the previous call
             simulator.reset(mask=over)
             simulator.rewards[over] = 0.0
-            observations[over] = simulator.observations[over]
+            simulator.copy_results(results, over)
         rewards = simulator.rewards.copy() if self.robot_rewards else simulator.rewards.mean(axis=1)
         terminations, truncations = simulator.terminated.copy(), simulator.truncated.copy()
         infos: dict[str, Any] = {}
         ended = terminations | truncations
         if self.autoreset_mode == AutoresetMode.SAME_STEP and ended.any():
-            infos["final_obs"], infos["_final_obs"] = observations.copy(), ended
-            infos["final_info"], infos["_final_info"] = self._infos(), ended
+            final, results = results, self._empty_results()
+            infos["final_obs"], infos["_final_obs"] = final.observations, ended
+            infos["final_info"], infos["_final_info"] = _by_name(final.infos), ended
             simulator.reset(mask=ended)
-            observations[ended] = simulator.observations[ended]
-        infos |= self._infos()
+            simulator.copy_results(results, slice(None))
+        infos |= _by_name(results.infos)
         self._viewer.show(simulator)
-        return observations, rewards, terminations, truncations, infos
+        return results.observations, rewards, terminations, truncations, infos
 
     def push(self, sticks: npt.ArrayLike) -> None:
         """Give human leaders' sticks, (3,) or (B, 3) m/s in their yaw frames, before a step; see `Simulator.push`."""
@@ -162,13 +165,16 @@ class VectorEnv(PlainSpec, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np
         if self.closed:
             raise gymnasium.error.ClosedEnvironmentError(f"{self} is closed: make another one")
 
-    def _infos(self) -> dict[str, np.ndarray]:
-        rows = self.simulator.infos
-        rows = rows.view(np.float64).copy().view(rows.dtype)  # one block: numpy copies records field by field
-        return {
-            column.name: rows[column.name][:, 0] if column.name in TEAM_KEYS else rows[column.name]
-            for column in layout.INFO
-        }
+    def _empty_results(self) -> Results:
+        return Results(np.empty_like(self.simulator.observations), np.empty_like(self.simulator.infos))
+
+
+def _by_name(rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Infos (B, N) as arrays, (B,) of the team's numbers."""
+    return {
+        column.name: rows[column.name][:, 0] if column.name in TEAM_KEYS else rows[column.name]
+        for column in layout.INFO
+    }
 
 
 def _parse_mode(mode: AutoresetMode | str) -> AutoresetMode:

@@ -10,7 +10,7 @@ import pickle
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from operator import attrgetter
-from typing import Any, Literal, cast
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -43,6 +43,13 @@ def available_cores() -> int:
 def _check_index(field: str, value: object, count: int, what: str) -> None:
     inside = isinstance(value, (int, np.integer)) and not isinstance(value, bool) and 0 <= value < count
     rule(bool(inside), field, f"in 0..{count - 1}", value, f"{what} are counted from 0")
+
+
+class Results(NamedTuple):
+    """Copies of what a step wrote, which no later step overwrites."""
+
+    observations: np.ndarray  # (B, N, D) float32
+    infos: np.ndarray  # (B, N) records of `layout.INFO`
 
 
 class Simulator:
@@ -221,11 +228,11 @@ class Simulator:
         self._run_worlds(NO_ACTIONS, chosen, self.warm_ticks)
         return self.observations
 
-    def step(self, actions: np.ndarray, *, into: np.ndarray | None = None) -> np.ndarray:
+    def step(self, actions: np.ndarray, *, into: Results | None = None) -> np.ndarray:
         """Apply actions (B, N, 4), shares in [-1, 1] (`layout.ACTION`; beyond is clipped), and return observations.
 
-        into: (B, N, D) float32; the stepping threads copy the observations to it. Worlds whose episode is over do not
-        change. Raises `ValueError`, naming world and robot, for a wrong shape or NaN; then nothing moves.
+        into: the stepping threads copy observations and infos to it. Worlds whose episode is over do not change. Raises
+        `ValueError`, naming world and robot, for a wrong shape or NaN; then nothing moves.
         """
         self._check_open()
         actions = as_numbers("actions", actions)
@@ -241,13 +248,19 @@ class Simulator:
             )
         return self.advance(actions, into=into)
 
-    def advance(self, actions: np.ndarray, *, into: np.ndarray | None = None) -> np.ndarray:
+    def advance(self, actions: np.ndarray, *, into: Results | None = None) -> np.ndarray:
         """As `step`, for an adapter that has checked its actions, (B, N, 4) finite float64, itself."""
         self._check_open()
         if not actions.flags.carray:
             actions = actions.copy()  # of the type for which the code is compiled, as NO_ACTIONS
         self._run_worlds(actions, NO_MASK, 0, into)
         return self.observations
+
+    def copy_results(self, into: Results, worlds: slice | np.ndarray) -> None:
+        """Copy observations and infos of some worlds, a slice or a mask (B,)."""
+        into.observations[worlds] = self.observations[worlds]
+        # as plain numbers: numpy copies records field by field
+        into.infos.view(np.float64)[worlds] = self.infos.view(np.float64)[worlds]
 
     def close(self) -> None:
         """End the threads; a second call has no effect. `reset` and `step` of a closed one raise `RuntimeError`."""
@@ -394,9 +407,7 @@ class Simulator:
         self.state.episode["key"][b] = key
         self.state.episode["max_steps"][b] = self.max_cycles
 
-    def _run_worlds(
-        self, actions: np.ndarray, mask: np.ndarray, warm_ticks: int, into: np.ndarray | None = None
-    ) -> None:
+    def _run_worlds(self, actions: np.ndarray, mask: np.ndarray, warm_ticks: int, into: Results | None = None) -> None:
         """Call `step.run` for all worlds; in large batches threads take slices of worlds in turn."""
         state, world, code = self._called
         run = code if state is self.state and world is self.world else step.run
@@ -405,12 +416,12 @@ class Simulator:
             self._called = self.state, self.world, code_of(step.run)
 
     def _run_slices(
-        self, run: Any, actions: np.ndarray, mask: np.ndarray, warm_ticks: int, into: np.ndarray | None
+        self, run: Any, actions: np.ndarray, mask: np.ndarray, warm_ticks: int, into: Results | None
     ) -> None:
         if self.n_threads == 1:
             run(self.state, self.world, self._scratch, self.params, actions, mask, warm_ticks, (0, self.n_worlds))
             if into is not None:
-                into[:] = self.state.flat
+                self.copy_results(into, slice(None))
             return
         n_slices = min(4 * self.n_threads, self.n_worlds // WORLDS_PER_SLICE)
         edges = [self.n_worlds * k // n_slices for k in range(n_slices + 1)]
@@ -421,7 +432,7 @@ class Simulator:
             for worlds in slices:
                 run(self.state, self.world, own, self.params, actions, mask, warm_ticks, worlds)
                 if into is not None:
-                    into[slice(*worlds)] = self.state.flat[slice(*worlds)]
+                    self.copy_results(into, slice(*worlds))
 
         if self._pool is None or self._pool[0] != os.getpid():
             self._pool = os.getpid(), ThreadPoolExecutor(self.n_threads - 1)  # threads do not survive a fork
