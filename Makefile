@@ -92,16 +92,13 @@ $(VENV)/created:
 	@$(PYTHON) -m venv $(VENV)
 	@touch $@
 
-$(VENV)/installed-demo: pyproject.toml constraints.txt $(VENV)/created
-	@echo "installing the package and what the demo needs (about 20 s) ..."
+$(VENV)/installed-demo: EXTRAS := cli,render
+$(VENV)/installed-dev: EXTRAS := dev
+$(VENV)/installed-demo $(VENV)/installed-dev: pyproject.toml constraints.txt $(VENV)/created
+	@echo "installing the package with [$(EXTRAS)] (about 20 s) ..."
 	@$(PIP) hatchling editables
 	@$(PIP) -e .
-	@$(BIN)/python -m fovconn_env.baselines & $(PIP) -e '.[cli,render]' && wait $$!  # compiles while pip unpacks
-	@touch $@
-
-$(VENV)/installed-dev: $(VENV)/installed-demo
-	@echo "installing what tests and lint need (about 10 s) ..."
-	@$(PIP) -e '.[dev]'
+	@$(BIN)/python -m fovconn_env.baselines & $(PIP) -e '.[$(EXTRAS)]' && wait $$!  # compiles while pip unpacks
 	@touch $@
 
 $(LIBRARIES)/twine/installed: constraints.txt
