@@ -215,30 +215,38 @@ def test_dict_and_flat_observations_are_the_same_numbers():
 
 
 class Check:
-    """What holds of everything that reset and step of a flat environment return."""
+    """What holds of everything that reset and step of a flat environment return; of its numbers, when it is `done`."""
 
     def __init__(self, env):
         self.env, self.space = env, env.observation_space("uav_0")
         assert all(env.observation_space(agent) == self.space for agent in env.possible_agents)
         self.names = [column.name for column in layout.INFO]
         self.low, self.high = layout.bounds(layout.INFO, env.scenario.scales())
+        self.rows, self.values, self.rewards, self.states = [], [], [], []
 
     def __call__(self, observations, infos, rewards):
         agents = self.env.possible_agents
         assert list(observations) == list(infos) == list(rewards) == agents
-        rows = np.stack(list(observations.values()))
-        assert rows.dtype == np.float32
-        outside = ~((self.space.low <= rows) & (rows <= self.space.high))
-        assert not outside.any(), f"columns {np.unique(np.argwhere(outside)[:, 1])[:5]} ..: {rows[outside][:5]} .."
+        assert all(row.dtype == np.float32 for row in observations.values())
         assert all(list(info) == self.names for info in infos.values())
-        values = [list(info.values()) for info in infos.values()]
-        assert all(type(value) is float for row in values for value in row)
-        assert all(type(value) is float for value in rewards.values())
-        values = np.array(values)
+        values = [[*info.values()] for info in infos.values()]
+        assert {kind for row in (*values, rewards.values()) for kind in map(type, row)} == {float}
+        self.rows.append(np.stack(list(observations.values())))
+        self.values.append(values)
+        self.rewards.append([*rewards.values()])
+        self.states.append(self.env.state())
+
+    def done(self):
+        rows, values = np.array(self.rows), np.array(self.values)
+        outside = ~((self.space.low <= rows) & (rows <= self.space.high))
+        assert not outside.any(), f"columns {np.unique(np.argwhere(outside)[:, 2])[:5]} ..: {rows[outside][:5]} .."
         wrong = ~np.isfinite(values) | (values < self.low - 1e-6) | (values > self.high + 1e-6)
-        assert not wrong.any(), [name for name, bad in zip(self.names, wrong.any(0), strict=True) if bad]
-        assert np.isfinite(list(rewards.values())).all()
-        assert self.env.state_space.contains(self.env.state())
+        assert not wrong.any(), [name for name, bad in zip(self.names, wrong.any((0, 1)), strict=True) if bad]
+        assert np.isfinite(self.rewards).all()
+        states, space = np.array(self.states), self.env.state_space
+        assert states.dtype == space.dtype
+        assert states.shape[1:] == space.shape
+        assert ((space.low <= states) & (states <= space.high)).all()
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -272,6 +280,7 @@ def test_whole_episodes_stay_in_their_spaces_and_end_together(pilot, name, varia
             over = ends != {(False, False)}
             assert env.agents == ([] if over else agents)
             k += 1
+        check.done()
         assert k <= env.max_cycles
         assert truncated["uav_0"] == (k == env.max_cycles) or terminated["uav_0"]
 
