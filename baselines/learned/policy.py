@@ -30,7 +30,7 @@ from fovconn_env.baselines.learned.inputs import (
 from fovconn_env.baselines.policy import Policy, make_class
 from fovconn_env.baselines.sources import stamp
 from fovconn_env.errors import SettingError
-from fovconn_env.kernel.jit import entry, kernel
+from fovconn_env.kernel.jit import disjoint, entry, kernel
 from fovconn_env.scenarios.scenario import Scenario
 
 _ONE = np.float32(1.0)
@@ -95,7 +95,7 @@ class Learned(Policy):
         self._gain = gain(scenario)
         first, second = self._head.first.shape
         widest = max(first, second, *(w.shape[1] for w in (self._head.second, *self._encoder[:1])))
-        self._scratch = np.zeros((7, widest + size), np.float32)
+        self._scratch = np.zeros((6, 2, widest + size), np.float32)  # of two robots at a time
 
     @classmethod
     def tag(cls) -> str:
@@ -159,27 +159,29 @@ def _load(file: Path, _: tuple[tuple[Path, tuple[int, ...]], ...]) -> tuple[Card
 
 
 # ---------------------------------------------------------------------------------------------------------- kernels
-@kernel
-def affine(x, matrix, bias, out):
-    """out = x matrix + bias, summed in the order of x: the same bits for any number of rows."""
-    for k in range(out.shape[0]):
-        out[k] = bias[k]
-    add_product(x, matrix, out)
+@disjoint
+def affine(xa, xb, matrix, bias, out):
+    """out = (xa, xb) matrix + bias, (2, W) or wider, summed in the order of x: the same bits for any number of rows.
 
-
-@kernel
-def add_product(x, matrix, out):
-    """out += x matrix, in the order of x; four terms at a time save three of four writes."""
-    n = x.shape[0] - x.shape[0] % 4
+    Two rows at a time share what is read of the matrix; four terms at a time save three of four writes.
+    """
+    width, n = bias.shape[0], xa.shape[0] - xa.shape[0] % 4
+    oa, ob = out[0, :width], out[1, :width]  # numba knows that both are contiguous
+    for k in range(width):
+        oa[k] = ob[k] = bias[k]
     for c in range(0, n, 4):
-        x0, x1, x2, x3 = x[c], x[c + 1], x[c + 2], x[c + 3]
-        m0, m1, m2, m3 = matrix[c], matrix[c + 1], matrix[c + 2], matrix[c + 3]
-        for k in range(out.shape[0]):
-            out[k] = (((out[k] + x0 * m0[k]) + x1 * m1[k]) + x2 * m2[k]) + x3 * m3[k]
-    for c in range(n, x.shape[0]):
-        xc, mc = x[c], matrix[c]
-        for k in range(out.shape[0]):
-            out[k] += xc * mc[k]
+        a0, a1, a2, a3 = xa[c], xa[c + 1], xa[c + 2], xa[c + 3]
+        b0, b1, b2, b3 = xb[c], xb[c + 1], xb[c + 2], xb[c + 3]
+        r0, r1, r2, r3 = matrix[c], matrix[c + 1], matrix[c + 2], matrix[c + 3]
+        for k in range(width):
+            m0, m1, m2, m3 = r0[k], r1[k], r2[k], r3[k]
+            oa[k] = (((oa[k] + a0 * m0) + a1 * m1) + a2 * m2) + a3 * m3
+            ob[k] = (((ob[k] + b0 * m0) + b1 * m1) + b2 * m2) + b3 * m3
+    for c in range(n, xa.shape[0]):
+        ac, bc, rc = xa[c], xb[c], matrix[c]
+        for k in range(width):
+            oa[k] += ac * rc[k]
+            ob[k] += bc * rc[k]
 
 
 @kernel
@@ -203,11 +205,13 @@ def sigmoid(x):
 
 
 @kernel
-def silu(x):
-    """x / (1 + exp(-x)) in place, as x / 2 (1 + tanh(x / 2)), to 2e-7 of 1 + |x|."""
-    for k in range(x.shape[0]):
-        half = _HALF * x[k]
-        x[k] = half + half * tanh(half)
+def silu(x, width):
+    """x / (1 + exp(-x)) in place, for x (2, width) or wider, as x / 2 (1 + tanh(x / 2)), to 2e-7 of 1 + |x|."""
+    for q in range(2):
+        row = x[q, :width]
+        for k in range(width):
+            half = _HALF * row[k]
+            row[k] = half + half * tanh(half)
 
 
 @kernel
@@ -233,65 +237,80 @@ def sum_set(rows, size, layers, scratch, total):
     """Write SHARE times the sum of silu(second(silu(first(row)))) over the used rows to total (W,).
 
     rows: (M size,), scaled. layers: bias of `first` (W,), `first` (size, W), `second` (W, W) and its bias. scratch:
-    (2, W) or wider.
+    (2, 2, W) or wider.
     """
-    start, first, second, second_bias = layers
-    one, two = scratch[0, : total.shape[0]], scratch[1, : total.shape[0]]  # numba knows that both are contiguous
-    for c in range(total.shape[0]):
+    first_bias, first, second, second_bias = layers
+    one, two, width, count = scratch[0], scratch[1], total.shape[0], rows.shape[0] // size
+    for c in range(width):
         total[c] = 0.0
-    for j in range(rows.shape[0] // size):
-        row = rows[j * size : (j + 1) * size]
-        if row[0] == 0.0:
+    for j in range(0, count, 2):
+        last = min(j + 1, count - 1)
+        a, b = rows[j * size : (j + 1) * size], rows[last * size : (last + 1) * size]
+        if a[0] == 0.0 and b[0] == 0.0:
             continue
-        affine(row, first, start, one)
-        silu(one)
-        affine(one, second, second_bias, two)
-        silu(two)
-        for c in range(total.shape[0]):
-            total[c] += two[c]
-    for c in range(total.shape[0]):
+        affine(a, b, first, first_bias, one)
+        silu(one, width)
+        affine(one[0, :width], one[1, :width], second, second_bias, two)
+        silu(two, width)
+        for q in range(last - j + 1):
+            if rows[(j + q) * size] != 0.0:
+                add_row(two[q, :width], total)
+    for c in range(width):
         total[c] *= np.float32(SHARE)
 
 
 @kernel
-def apply_head(features, head, scratch, out):
-    """Write the head's output (4,) for the features."""
-    one, two = scratch[0, : head.first.shape[1]], scratch[1, : head.second.shape[1]]
-    affine(features, head.first, head.first_bias, one)
-    silu(one)
-    affine(one, head.second, head.second_bias, two)
-    silu(two)
-    affine(two, head.action, head.action_bias, out)
+def add_row(row, total):
+    """total += row."""
+    for c in range(total.shape[0]):
+        total[c] += row[c]
+
+
+@kernel
+def write_outputs(features, size, head, scratch, outputs):
+    """Write the head's outputs (1 or 2, 4) for the features (2, size) of as many robots; scratch (3, 2, H) or wider."""
+    one, two, out = scratch[0], scratch[1], scratch[2]
+    n_first, n_second = head.first.shape[1], head.second.shape[1]
+    affine(features[0, :size], features[1, :size], head.first, head.first_bias, one)
+    silu(one, n_first)
+    affine(one[0, :n_first], one[1, :n_first], head.second, head.second_bias, two)
+    silu(two, n_second)
+    affine(two[0, :n_second], two[1, :n_second], head.action, head.action_bias, out)
+    for q in range(outputs.shape[0]):
+        for c in range(outputs.shape[1]):
+            outputs[q, c] = out[q, c]
 
 
 @entry
 def run_set(flat, base, max_neighbors, scale, encoder, head, scratch, outputs):
     """Fill outputs (R, 4) of the set network from flat observations (R, D) and base actions (R, extra)."""
-    width, spots = encoder.term.shape[0], encoder.spot.shape[0]
-    n_own, first = encoder.own.shape[0], OWN + max_neighbors * ROW
-    features, scaled, begin = scratch[2, : n_own + width + spots], scratch[3, : flat.shape[1]], scratch[4, :width]
-    own, terms, points = features[:n_own], features[n_own : n_own + width], features[n_own + width :]
-    for r in range(flat.shape[0]):
-        for c in range(OWN, flat.shape[1]):
-            scaled[c] = np.divide(flat[r, c], scale[c])  # `/` would test for zero each time
-        write_own_row(flat[r], base[r], scale, own)
-        affine(own, encoder.own, encoder.row_bias, begin)
-        layers = (begin, encoder.row, encoder.term, encoder.term_bias)
-        sum_set(scaled[OWN:first], ROW, layers, scratch[5:7], terms)
-        layers = (encoder.point_bias, encoder.point, encoder.spot, encoder.spot_bias)
-        sum_set(scaled[first:], encoder.point.shape[0], layers, scratch[5:7], points)
-        apply_head(features, head, scratch[:2], outputs[r])
+    width, n_own, first = encoder.term.shape[0], encoder.own.shape[0], OWN + max_neighbors * ROW
+    size = n_own + width + encoder.spot.shape[0]
+    features, begin, scaled, layers_scratch = scratch[0], scratch[1], scratch[2, 0, : flat.shape[1]], scratch[3:]
+    for r in range(0, flat.shape[0], 2):
+        count = min(2, flat.shape[0] - r)  # robots; beside a last one stands what was there before
+        for q in range(count):
+            write_own_row(flat[r + q], base[r + q], scale, features[q, :n_own])
+        affine(features[0, :n_own], features[1, :n_own], encoder.own, encoder.row_bias, begin)
+        for q in range(count):
+            for c in range(OWN, flat.shape[1]):
+                scaled[c] = np.divide(flat[r + q, c], scale[c])  # `/` would test for zero each time
+            layers = (begin[q, :width], encoder.row, encoder.term, encoder.term_bias)
+            sum_set(scaled[OWN:first], ROW, layers, layers_scratch, features[q, n_own : n_own + width])
+            layers = (encoder.point_bias, encoder.point, encoder.spot, encoder.spot_bias)
+            sum_set(scaled[first:], encoder.point.shape[0], layers, layers_scratch, features[q, n_own + width : size])
+        write_outputs(features, size, head, layers_scratch, outputs[r : r + 2])
 
 
 @entry
 def run_flat(flat, base, scale, head, scratch, outputs):
     """Fill outputs (R, 4) of the plain network from flat observations (R, D) and base actions (R, extra)."""
-    size, extra = flat.shape[1], base.shape[1]
-    features = scratch[2, : size + extra + EMPHASIS]
-    for r in range(flat.shape[0]):
-        for c in range(size):
-            features[c] = flat[r, c] / scale[c]
-        for c in range(extra):
-            features[size + c] = base[r, c]
-        write_emphasis(flat[r, LAMBDA2], features[size + extra :])
-        apply_head(features, head, scratch[:2], outputs[r])
+    columns, extra, features = flat.shape[1], base.shape[1], scratch[0]
+    for r in range(0, flat.shape[0], 2):
+        for q in range(min(2, flat.shape[0] - r)):  # robots; beside a last one stands what was there before
+            for c in range(columns):
+                features[q, c] = flat[r + q, c] / scale[c]
+            for c in range(extra):
+                features[q, columns + c] = base[r + q, c]
+            write_emphasis(flat[r + q, LAMBDA2], features[q, columns + extra :])
+        write_outputs(features, columns + extra + EMPHASIS, head, scratch[3:], outputs[r : r + 2])

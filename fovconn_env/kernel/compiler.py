@@ -33,6 +33,11 @@ def part_compiler(*args: Any) -> CompilerBase:
     return _PartCompiler(*args) if is_supported() else Compiler(*args)
 
 
+def disjoint_compiler(*args: Any) -> CompilerBase:
+    """As `part_compiler`, of what writes no array that overlaps another of its arguments."""
+    return _DisjointCompiler(*args) if is_supported() else Compiler(*args)
+
+
 def large_compiler(*args: Any) -> CompilerBase:
     """A compiler of long code that Python calls."""
     return _LargeCompiler(*args) if is_supported() else Compiler(*args)
@@ -42,10 +47,10 @@ def large_compiler(*args: Any) -> CompilerBase:
 def is_supported() -> bool:
     """Whether this numba has the internals needed: decided once, by compiling a chain of calls."""
     options: dict[str, Any] = {"_nrt": False}
-    inner = {**options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": _PartCompiler}
+    inner = {**options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     try:
-        square: Any = numba.njit(lambda x: x * x, **inner)
-        shifted: Any = numba.njit(lambda x: square(x) + 1.0, **inner)
+        square: Any = numba.njit(lambda x: x * x, pipeline_class=_DisjointCompiler, **inner)
+        shifted: Any = numba.njit(lambda x: square(x) + 1.0, pipeline_class=_PartCompiler, **inner)
         both: Any = numba.njit(lambda x: shifted(x) + square(x), pipeline_class=_LargeCompiler, **options)
         return both(3.0) == 19.0
     except Exception as problem:  # internals that differ may fail in any way
@@ -226,6 +231,12 @@ class _Compiler(CompilerBase):
 
 class _PartCompiler(_Compiler):
     library_class = _Part
+
+
+class _DisjointCompiler(_PartCompiler):
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.state.flags.noalias = True  # or each loop over arrays begins with a test whether they overlap
 
 
 class _LargeCompiler(_Compiler):

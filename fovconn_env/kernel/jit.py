@@ -1,7 +1,7 @@
 """The decorators of compiled code, and the key by which its cache notices an edit in any kernel file.
 
-`kernel`, `stage` and `view` mark functions called from compiled code, `entry` one called from Python, `formula` one
-called from both. With `NUMBA_DISABLE_JIT=1` they leave plain Python behind.
+`kernel`, `disjoint`, `stage` and `view` mark functions called from compiled code, `entry` one called from Python,
+`formula` one called from both. With `NUMBA_DISABLE_JIT=1` they leave plain Python behind.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -26,7 +26,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 
 from fovconn_env.kernel.cache import DiskCache
-from fovconn_env.kernel.compiler import large_compiler, part_compiler
+from fovconn_env.kernel.compiler import disjoint_compiler, large_compiler, part_compiler
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -46,7 +46,8 @@ if not _PACKAGE.is_dir():  # in a zip file, where neither the sources nor the we
     )
 # Stands in every file that holds compiled code.
 _MARK = re.compile(
-    rb"^from fovconn_env\.kernel\.jit import .*\b(?:entry|formula|kernel|large_entry|stage|view)\b", re.MULTILINE
+    rb"^from fovconn_env\.kernel\.jit import .*\b(?:disjoint|entry|formula|kernel|large_entry|stage|view)\b",
+    re.MULTILINE,
 )
 _LOG = logging.getLogger("fovconn_env")  # to standard error, unless the application has set up logging
 PATIENCE = 1.0  # s
@@ -113,6 +114,11 @@ class _Entry(CPUDispatcher):
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a function that only compiled code calls. It makes no array."""
     return _inner(numba.njit(function, **_INNER))
+
+
+def disjoint(function: Callable[P, R]) -> Callable[P, R]:
+    """As `kernel`, for a function that writes no array that overlaps another of its arguments: its loops are faster."""
+    return _inner(numba.njit(function, **(_INNER | {"pipeline_class": disjoint_compiler})))
 
 
 def formula(function: Callable[P, R]) -> Callable[P, R]:

@@ -22,7 +22,7 @@ from tests.helpers import JIT
 
 PACKAGE = Path(__file__).parents[2] / "fovconn_env"
 LAYOUTS = ("clone", "editable", "wheel")
-COMPILED = re.compile(r"^@(kernel|entry|large_entry|stage|view)$", re.MULTILINE)
+COMPILED = re.compile(r"^@(disjoint|kernel|entry|large_entry|stage|view)$", re.MULTILINE)
 ENTRY = re.compile(r"^@(large_)?entry$", re.MULTILINE)
 CODE = "from fovconn_env.kernel.jit import entry\n\n\n@entry\ndef double(x):\n    return 2.0 * x\n"
 
