@@ -54,20 +54,27 @@ def rollout(
     seeds: Sequence[int],
     *,
     observers: Sequence[Observer] = (),
-    n_threads: int | None = None,
+    simulator: Simulator | None = None,
 ) -> Iterator[Simulator]:
     """Fly a policy once from every seed, a world each: yields the simulator after the reset and after every step.
 
-    The team flies with the policy's equipment; its starts are drawn by the rules of the scenario as given. The caller
-    may break off at any step. Raises `PolicyError` that names policy, scenario and step where the policy fails, and
-    `SettingError`, with robot and seed, where it returns what is no action.
+    The team flies with the policy's equipment; its starts are drawn by the rules of the scenario as given. simulator:
+    one that is `started` so, in place of a new one. The caller may break off at any step. Raises `PolicyError` that
+    names policy, scenario and step where the policy fails, and `SettingError`, with robot and seed, where it returns
+    what is no action.
     """
     name = getattr(policy, "__name__", type(policy).__name__)
-    simulator = Simulator(policy.equip(scenario), len(seeds), n_threads=n_threads, starts=scenario)
+    ready = simulator or started(policy.equip(scenario), seeds, scenario)
     with policy_code(f"policy {name} cannot be made for {scenario.name}:"):
-        pilot = policy(simulator.scenario)
+        pilot = policy(ready.scenario)
+    return steps(ready, lambda _: decide(pilot, ready), observers)
+
+
+def started(equipped: Scenario, seeds: Sequence[int], rules: Scenario, n_threads: int | None = None) -> Simulator:
+    """A simulator whose worlds have been reset to the seeds; rules: of the starts, as `Simulator`'s."""
+    simulator = Simulator(equipped, len(seeds), n_threads=n_threads, starts=rules)
     simulator.reset(list(seeds))
-    return steps(simulator, lambda _: decide(pilot, simulator), observers)
+    return simulator
 
 
 def steps(

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import functools
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from fovconn_env import PRESETS, Recorder, Scenario
 from fovconn_env.baselines import POLICIES, find_policy
 from fovconn_env.errors import MachineError, SettingError, closest, rule
+from fovconn_env.flights.rollout import started
 from fovconn_env.sim.seeds import MAX_SEED
-from fovconn_env.sim.simulator import available_cores
+from fovconn_env.sim.simulator import Simulator, available_cores
 from fovconn_env.text import file_name
 from fovconn_env.training.evaluation.flights import Evaluation, Reused, fly, label, reuse_line
 from fovconn_env.training.evaluation.folders import claimed, sweep
@@ -173,13 +175,20 @@ def _reused(seeds: Sequence[int], before: Mapping[int, int]) -> Reused | None:
 def _orders(
     cells: Sequence[Cell], seeds: Sequence[int], kept: Sequence[Mapping[int, int]], recordings: Path | None
 ) -> list[Order]:
-    """Blocks still to be flown, those that take longest first."""
+    """Blocks still to be flown, those that take longest first; blocks of the same start one after another."""
     orders = []
     for k, (cell, there) in enumerate(zip(cells, kept, strict=True)):
         missing = [seed for seed in seeds if seed not in there]
         blocks = [missing[first : first + BLOCK] for first in range(0, len(missing), BLOCK)]
         orders += [Order(k, cell, block, recordings) for block in blocks]
-    return sorted(orders, key=lambda order: -len(order.seeds) * _cost(order.cell.scenario))
+    first = dict[Any, int]()  # order of each start
+
+    def place(order: Order) -> tuple[float, int]:
+        scenario = order.cell.scenario
+        start = scenario, tuple(order.seeds), find_policy(order.cell.policy).equip(scenario)
+        return -len(order.seeds) * _cost(scenario), first.setdefault(start, len(first))
+
+    return sorted(orders, key=place)
 
 
 def _cost(scenario: Scenario) -> float:
@@ -223,7 +232,8 @@ def _fly_order(watch: Watch, k: int, cell: Cell, seeds: list[int], recordings: P
     kind, name = _kind(cell.policy), label(cell.policy)
     worlds = range(len(seeds) if recordings is not None else 0)
     recorders = [Recorder(policies=[name], world=b) for b in worlds]
-    part = fly(kind, cell.scenario, seeds, watch=watch, n_threads=1, observers=recorders)._replace(policy=name)
+    simulator = copy.deepcopy(_started(kind.equip(cell.scenario), tuple(seeds), cell.scenario))
+    part = fly(kind, cell.scenario, seeds, watch=watch, observers=recorders, simulator=simulator)._replace(policy=name)
     files = _reads.of(cell.policy, kind)
     if recordings is not None:
         recordings.mkdir(parents=True, exist_ok=True)
@@ -236,6 +246,12 @@ def _fly_order(watch: Watch, k: int, cell: Cell, seeds: list[int], recordings: P
 def recording_file(folder: Path, cell: Cell, seed: int) -> Path:
     """Where `fly_cells` records a flight."""
     return folder / f"{file_name(label(cell.policy))}@{file_name(cell.scenario.name)}-{seed}.npz"
+
+
+@functools.lru_cache(maxsize=1)
+def _started(equipped: Scenario, seeds: tuple[int, ...], rules: Scenario) -> Simulator:
+    """See `started`; policies of the same equipment begin with the same."""
+    return started(equipped, seeds, rules, n_threads=1)
 
 
 _kind = functools.cache(find_policy)  # in a process that flies, a policy is loaded once: an edit changes no later block

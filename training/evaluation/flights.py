@@ -14,10 +14,12 @@ from fovconn_env.baselines import POLICIES, Policy, find_policy
 from fovconn_env.errors import rule
 from fovconn_env.flights.metrics import ERRORS, Meter, quantile
 from fovconn_env.flights.rollout import Observer, rollout
+from fovconn_env.sim.simulator import Simulator
 from fovconn_env.text import literal
 from fovconn_env.training.evaluation.statistics import share_interval
 
 BATCH = 256  # worlds flown at once
+TELL = 0.05  # s between two words of how far a flight is
 SHARES = ("never_disconnected", "success", "collision")  # measures that are yes or no
 
 
@@ -67,18 +69,22 @@ def fly(
     seeds: Sequence[int],
     *,
     watch: Callable[[float], bool | None],
-    n_threads: int | None = None,
     observers: Sequence[Observer] = (),
+    simulator: Simulator | None = None,
 ) -> Evaluation:
-    """Fly one batch. `watch` is told the number of episodes done, in fractions; False from it breaks off.
+    """Fly one batch. `watch` is told the number of episodes done, in fractions, now and then; False from it breaks off.
 
-    The result then has the finished episodes alone. Observers look on; raises as `rollout`.
+    The result then has the finished episodes alone. Observers look on; simulator, and what it raises: as of `rollout`.
     """
-    kind, meter = find_policy(policy), Meter()
-    for simulator in rollout(kind, scenario, seeds, observers=[meter, *observers], n_threads=n_threads):
-        step = simulator.state.episode["step"]
-        if watch(float(np.where(simulator.over, 1.0, step / simulator.max_cycles).sum())) is False:
+    kind, meter, told = find_policy(policy), Meter(), -math.inf
+    for flown in rollout(kind, scenario, seeds, observers=[meter, *observers], simulator=simulator):
+        if time.monotonic() < told + TELL:
+            continue
+        told, step = time.monotonic(), flown.state.episode["step"]
+        if watch(float(np.where(flown.over, 1.0, step / flown.max_cycles).sum())) is False:
             break
+    else:
+        watch(len(seeds))
     done = meter.simulator.over
     episodes = {name: values[done] for name, values in meter.results().items()}
     finished = [seed for seed, over in zip(meter.simulator.seeds, done, strict=True) if over and seed is not None]
