@@ -198,10 +198,11 @@ def rows(flat: np.ndarray, max_neighbors: int, max_ranges: int) -> Rows:
             f"max_neighbors={max_neighbors} and {max_ranges} ranges, got {flat.shape[-1]}: "
             "was the policy loaded for another scenario?"
         )
-    lead, steps, at = flat.shape[:-1], flat.strides[:-1], 0
-    views = []
-    for kind, count in zip(_ROW_TYPES, (None, max_neighbors, max_ranges), strict=True):
-        shape, strides = (lead, steps) if count is None else ((*lead, count), (*steps, kind.itemsize))
-        views.append(np.ndarray(shape, kind, flat, at, strides))
-        at += kind.itemsize * (count or 1)
-    return Rows(*views)
+    own, neighbor, point = _ROW_TYPES
+    lead, steps, first = flat.shape[:-1], flat.strides[:-1], own.itemsize
+    second = first + max_neighbors * neighbor.itemsize
+    return Rows(
+        np.ndarray(lead, own, flat, 0, steps),
+        np.ndarray((*lead, max_neighbors), neighbor, flat, first, (*steps, neighbor.itemsize)),
+        np.ndarray((*lead, max_ranges), point, flat, second, (*steps, point.itemsize)),
+    )
