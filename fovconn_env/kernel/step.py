@@ -28,6 +28,7 @@ from fovconn_env.kernel.world.kinematics import cache_half_turn, reset_kinematic
 from fovconn_env.kernel.world.odometry import measure_ego_motion
 from fovconn_env.kernel.world.operator import NOBODY, update_stick
 from fovconn_env.kernel.world.outcome import (
+    build_true_laplacian,
     check_termination,
     true_lambda2,
     update_true_weights,
@@ -283,9 +284,12 @@ def detect_collisions(bodies, piece, vertex, episode, p):
 @stage
 def update_true_lambda2(state, scratch, b, p):
     """True weights, lambda2 and v2 of the team."""
-    episode, v2 = state.episode[b], state.fiedler[b]
-    episode.n_edges = update_true_weights(state.pair[b], state.info[b], p)
-    episode.lambda2 = true_lambda2(state.body[b], state.pair[b], v2, scratch.laplacian, scratch.spectrum)
+    episode, pairs, v2, laplacian = state.episode[b], state.pair[b], state.fiedler[b], scratch.laplacian
+    count = scratch.indptr[v2.shape[0]]
+    row, col = scratch.row[:count], scratch.col[:count]
+    episode.n_edges = update_true_weights(pairs, state.info[b], row, col, p)
+    build_true_laplacian(laplacian, pairs, row, col)
+    episode.lambda2 = true_lambda2(state.body[b], v2, laplacian, scratch.spectrum)
     if p.lambda2 == power_iteration.TRUE:
         reveal_lambda2(state.belief[b], episode.lambda2, v2)
 

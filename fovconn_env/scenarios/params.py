@@ -53,7 +53,8 @@ def _values(scenario: Any) -> dict[str, Any]:
         "round_time": round_time,
         "travel_time": travel_time,
         "step_time": scenario.step_time,
-        "rest_ticks": math.ceil(quiet / clock.tick) + 2,  # so long after a link nothing of it is left on board
+        # so long after a link nothing of it is left on board, and its end has been noted at the end of a step
+        "rest_ticks": max(math.ceil(quiet / clock.tick) + 2, clock.ticks + 1),
     }
     values |= dict(zip(("axis_x", "axis_y", "axis_z"), scenario.camera.unit_axis, strict=True))
     for name, words in SWITCHES.items():

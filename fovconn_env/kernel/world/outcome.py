@@ -17,24 +17,29 @@ OCCLUSION, FAULT = LOST_LINK.index("occlusion"), LOST_LINK.index("fault")
 
 
 @kernel
-def update_true_weights(pairs, infos, p):
-    """True f*_ij (10) and A_ij (6), (11) of all pairs; infos get why links were lost. Returns the number of links."""
-    n, n_edges = pairs.shape[0], 0
-    for i in range(n):
+def update_true_weights(pairs, infos, row, col, p):
+    """True f*_ij (10) and A_ij (6), (11) of all pairs; infos get why links were lost. Returns the number of links.
+
+    row, col: the contacts of `build_contacts`; other pairs have no link, and had none at the end of the last step.
+    """
+    n_edges = 0
+    for i in range(infos.shape[0]):
         infos[i].lost_link_cause = 0.0
-    for i in range(n):
-        for j in range(i + 1, n):
-            ij, ji = pairs[i, j], pairs[j, i]
-            before, seen_by_i, seen_by_j = ij.weight, ij.f_star > 0.0, ji.f_star > 0.0
-            ij.f_star = sight_weight(ij.cosine, p) if ij.seen else 0.0
-            ji.f_star = sight_weight(ji.cosine, p) if ji.seen else 0.0
-            view = ij.f_star + ji.f_star - ij.f_star * ji.f_star  # (11), whatever weight the robots use
-            ij.weight = ji.weight = range_weight(ij.distance, p) * view if view > 0.0 else 0.0  # (6)
-            if ij.weight > 0.0:
-                n_edges += 1
-            elif before > 0.0:
-                infos[i].lost_link_cause = lost_link(ij, OWN_VIEW if seen_by_i else ITS_VIEW, p)
-                infos[j].lost_link_cause = lost_link(ij, OWN_VIEW if seen_by_j else ITS_VIEW, p)
+    for k in range(row.shape[0]):
+        i, j = row[k], col[k]
+        if i > j:
+            continue
+        ij, ji = pairs[i, j], pairs[j, i]
+        before, seen_by_i, seen_by_j = ij.weight, ij.f_star > 0.0, ji.f_star > 0.0
+        ij.f_star = sight_weight(ij.cosine, p) if ij.seen else 0.0
+        ji.f_star = sight_weight(ji.cosine, p) if ji.seen else 0.0
+        view = ij.f_star + ji.f_star - ij.f_star * ji.f_star  # (11), whatever weight the robots use
+        ij.weight = ji.weight = range_weight(ij.distance, p) * view if view > 0.0 else 0.0  # (6)
+        if ij.weight > 0.0:
+            n_edges += 1
+        elif before > 0.0:
+            infos[i].lost_link_cause = lost_link(ij, OWN_VIEW if seen_by_i else ITS_VIEW, p)
+            infos[j].lost_link_cause = lost_link(ij, OWN_VIEW if seen_by_j else ITS_VIEW, p)
     return n_edges
 
 
@@ -49,19 +54,25 @@ def lost_link(pair, view, p):
 
 
 @kernel
-def true_lambda2(bodies, pairs, v2, laplacian, scratch):
-    """True lambda2 of the living robots by the weights of `update_true_weights`; v2 (N,) gets the unit eigenvector.
+def build_true_laplacian(laplacian, pairs, row, col):
+    """Laplacian (N, N) of the weights of `update_true_weights`, with the same contacts."""
+    n = laplacian.shape[0]
+    for i in range(n):
+        for j in range(n):
+            laplacian[i, j] = 0.0
+    for k in range(row.shape[0]):
+        i, j = row[k], col[k]
+        laplacian[i, i] += pairs[i, j].weight
+        laplacian[i, j] = -pairs[i, j].weight
+
+
+@kernel
+def true_lambda2(bodies, v2, laplacian, scratch):
+    """True lambda2 of the living robots, from `build_true_laplacian`; v2 (N,) gets the unit eigenvector.
 
     v2 is 0 for the dead, lambda2 of fewer than two is 0. The rest is scratch.
     """
-    n = pairs.shape[0]
-    for i in range(n):
-        degree = 0.0
-        for j in range(n):
-            if j != i:
-                degree += pairs[i, j].weight
-                laplacian[i, j] = -pairs[i, j].weight
-        laplacian[i, i] = degree
+    n = v2.shape[0]
     living = count_living(bodies)
     if living < n:
         isolate_dead(bodies, v2, laplacian)
