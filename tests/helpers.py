@@ -95,7 +95,7 @@ def contents(record_or_array) -> dict[str, bytes]:
 
 def snapshot(simulator: Simulator, b: int) -> dict[str, bytes]:
     """Every field of the state, and of what is used of the world, of world b."""
-    parts = {name: contents(array[b]) for name, array in simulator.state._asdict().items()}
+    parts = {name: contents(array[b]) for name, array in simulator.state.arrays().items()}
     world = simulator.world
     piece = world.piece[b][world.piece[b]["count"] > 0]
     corners = int((piece["first"] + piece["count"]).max(initial=0))

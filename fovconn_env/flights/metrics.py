@@ -180,7 +180,7 @@ def _measure(state, sums, histograms, before, params):
         elif math.isnan(s.first_loss):
             s.first_loss, s.split_cause = now, cause if cause > 0 else _weakness(pair[b], state.fiedler[b], p)
             s.split_alignment, s.split_hat = s.aligned, s.hat  # of the last step before it
-        _count_yaws(body[b], pair[b], state.track[b], s, histograms[b], now >= s.moved_at + WARM)
+        _count_yaws(body[b], pair[b], state.peer[b], s, histograms[b], now >= s.moved_at + WARM)
         s.open = 0 if episode[b].over else 1
 
 
@@ -266,7 +266,7 @@ def _align(bodies, beliefs, modes, v2, s, p):
 
 
 @kernel
-def _count_yaws(bodies, pairs, tracks, s, histograms, settled):
+def _count_yaws(bodies, pairs, peers, s, histograms, settled):
     """Errors and validity of relative yaws by sight class, of all ordered pairs."""
     n = bodies.shape[0]
     for i in range(n):
@@ -274,7 +274,7 @@ def _count_yaws(bodies, pairs, tracks, s, histograms, settled):
             seen, watched = pairs[i, j].seen, pairs[j, i].seen
             if i == j or not (seen or watched):
                 continue
-            track, mutual = tracks[i, j], seen and watched
+            track, mutual = peers[i, j].track, seen and watched
             valid = track.valid and track.present
             if settled and mutual:
                 s.mutual_time += 1

@@ -7,13 +7,13 @@ W way points. No record depends on a size, so one compilation serves every team.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fovconn_env.layout import BROADCAST, INFO, NOTE, Column, record
 
-Fields = list[tuple[str, str]]
+Fields = list[tuple[str, Any]]
 
 
 def _record(fields: Fields) -> np.dtype:
@@ -154,6 +154,8 @@ TRACK = _record(  # what i keeps about j
         *_numbers("cos_used sin_used"),  # after averaging with j's in mutual view
     ]
 )
+# What i has on board about j, side by side, in 6 cache lines of 64 bytes: apart they lay in 9 or 10.
+PEER = _record([("inbox", INBOX), ("sight", SIGHT), ("track", TRACK), *_numbers("spare1 spare2")])
 BELIEF = _record(_numbers("x y1 y2 y3 q1 q2 q3 degree lambda2_hat v2_hat"))  # lambda2 and v2 estimator of one robot
 
 # ------------------------------------------------------------------------------------------------- the episode
@@ -201,11 +203,9 @@ class State(NamedTuple):
     flight: np.ndarray  # (B, N) FLIGHT
     pair: np.ndarray  # (B, N, N) PAIR
     ego: np.ndarray  # (B, N) EGO
-    sight: np.ndarray  # (B, N, N) SIGHT
     broadcast: np.ndarray  # (B, L, N) BROADCAST_RECORD, on the air: [slot, sender]
     unicast: np.ndarray  # (B, L, N, N) UNICAST_RECORD, on the air: [slot, sender, receiver]
-    inbox: np.ndarray  # (B, N, N) INBOX: [receiver, sender]
-    track: np.ndarray  # (B, N, N) TRACK
+    peer: np.ndarray  # (B, N, N) PEER: [who has it, about whom]
     belief: np.ndarray  # (B, N) BELIEF
     beat: np.ndarray  # (B, N, N) int64, newest beats by tick, see liveness.py: [holder, of]
     beat_air: np.ndarray  # (B, L, N, N) int64, on the air: [slot, sender, of]
@@ -221,3 +221,23 @@ class State(NamedTuple):
     own_row: np.ndarray  # (B, N) SELF rows
     neighbor_row: np.ndarray  # (B, N, M) NEIGHBOR rows
     range_row: np.ndarray  # (B, N, K) RANGE rows
+
+    @property
+    def sight(self) -> np.ndarray:
+        """(B, N, N) SIGHT, a view as the two below: kernels take `peer`."""
+        return self.peer["sight"]
+
+    @property
+    def inbox(self) -> np.ndarray:
+        """(B, N, N) INBOX: [receiver, sender]."""
+        return self.peer["inbox"]
+
+    @property
+    def track(self) -> np.ndarray:
+        """(B, N, N) TRACK."""
+        return self.peer["track"]
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Everything once, by name: `peer` as its three parts, and no view into `flat`."""
+        whole = {name: array for name, array in self._asdict().items() if name != "peer" and not name.endswith("_row")}
+        return whole | {"sight": self.sight, "inbox": self.inbox, "track": self.track}

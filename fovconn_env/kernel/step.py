@@ -97,7 +97,7 @@ def run(state, world, scratch, params, actions, mask, warm_ticks, worlds):
         if moves:
             check_termination(episode, arrived, p)
             write_rewards(bodies, infos, state.reward[b], actions[b], episode, stick, p)
-        write_infos(bodies, state.track[b], state.belief[b], infos, scratch.col, scratch.indptr, episode, p)
+        write_infos(bodies, state.peer[b], state.belief[b], infos, scratch.col, scratch.indptr, episode, p)
 
 
 # ------------------------------------------------------------------------------------------- one robot's slices
@@ -107,9 +107,7 @@ def robot_of(state, b, i):
     return Robot(
         i,
         state.ego[b, i],
-        state.sight[b, i],
-        state.inbox[b, i],
-        state.track[b, i],
+        state.peer[b, i],
         state.belief[b, i],
         state.beat[b, i],
         state.table[b, i],
@@ -173,9 +171,7 @@ def prefetch_contacts(state, b, p):
     for i in range(n):
         for j in range(n):
             if j != i and pairs[i, j].idle_ticks < p.rest_ticks:
-                prefetch(state.sight[b, i, j])
-                prefetch(state.inbox[b, i, j])
-                prefetch(state.track[b, i, j])
+                prefetch(state.peer[b, i, j])
                 for slot in range(state.unicast.shape[1]):
                     prefetch(state.unicast[b, slot, i, j])
 
@@ -305,14 +301,14 @@ def reveal_lambda2(beliefs, lambda2, v2):
 @stage
 def sense(state, scratch, b, p):
     """Odometry, IMU and camera of every robot, and what it makes of them."""
-    bodies, pairs, ego, sights, episode = state.body[b], state.pair[b], state.ego[b], state.sight[b], state.episode[b]
+    bodies, pairs, ego, peers, episode = state.body[b], state.pair[b], state.ego[b], state.peer[b], state.episode[b]
     n = bodies.shape[0]
     for i in range(n):
         measure_ego_motion(bodies[i], ego[i], i, episode, p)
         robot.sense(robot_of(state, b, i), p)
     for k in range(scratch.indptr[n]):
         i, j = scratch.row[k], scratch.col[k]
-        measure_relative_position(bodies[i], bodies[j], pairs[i, j], ego[i], sights[i, j], i * n + j, episode, p)
+        measure_relative_position(bodies[i], bodies[j], pairs[i, j], ego[i], peers[i, j].sight, i * n + j, episode, p)
         robot.see(robot_of(state, b, i), j, p)
 
 
@@ -352,16 +348,16 @@ def estimate_yaws(state, scratch, b, p):
         i, j = scratch.row[k], scratch.col[k]
         robot.estimate_yaw(robot_of(state, b, i), j, p)
     if p.relative_yaw != relative_yaw.ESTIMATED:
-        override_yaw(state.body[b], state.track[b], p)
+        override_yaw(state.body[b], state.peer[b], p)
 
 
 @kernel
-def override_yaw(bodies, tracks, p):
+def override_yaw(bodies, peers, p):
     """Switch relative_yaw: "true" puts the truth in the estimate's place (an oracle), "none" leaves no estimate."""
     n = bodies.shape[0]
     for i in range(n):
         for j in range(n):
-            a, b, track = bodies[i], bodies[j], tracks[i, j]
+            a, b, track = bodies[i], bodies[j], peers[i, j].track
             track.valid = track.present and p.relative_yaw == relative_yaw.TRUE
             track.cos_yaw, track.sin_yaw = 1.0, 0.0
             if p.relative_yaw == relative_yaw.TRUE:

@@ -38,7 +38,7 @@ def record(case):
     for action in recorded_actions(STEPS, 3, size=0.3):
         simulator.step(action)
         assert not simulator.over[0]
-        for name, array in simulator.state._asdict().items():
+        for name, array in (simulator.state.arrays() | {"range_row": simulator.state.range_row}).items():
             for field in array.dtype.names or ("",):
                 columns.setdefault(f"{name}.{field}", []).append((array[field] if field else array).copy())
     return {name: np.array(values) for name, values in columns.items()}

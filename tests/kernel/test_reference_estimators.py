@@ -178,25 +178,25 @@ def test_yaw_estimator_approaches_the_papers_equations(mutual):
 
 # ------------------------------------------------------------------------------------------------------ lambda2
 @entry
-def message_round(beliefs, tracks, post, mail, inboxes, contacts, own, p):
+def message_round(beliefs, peers, post, mail, contacts, own, p):
     """Delivery and one round of every robot, who then speak again."""
     n = beliefs.shape[0]
     for i in range(n):
         for j in contacts:
-            messages.receive_message(post[j], mail[j, i], inboxes[i, j], True, p[0])
-            power_iteration.agree_weight(tracks[i, j], mail[i, j], inboxes[i, j], p[0])
+            messages.receive_message(post[j], mail[j, i], peers[i, j].inbox, True, p[0])
+            power_iteration.agree_weight(peers[i, j].track, mail[i, j], peers[i, j].inbox, p[0])
     for i in range(n):
-        power_iteration.power_round(beliefs[i], tracks[i], post[i], inboxes[i], contacts, p[0])
+        power_iteration.power_round(beliefs[i], peers[i], post[i], contacts, p[0])
         power_iteration.read_estimate(beliefs[i], n)
     for i in range(n):
-        speak(post, mail, own, tracks, beliefs, i)
+        speak(post, mail, own, peers, beliefs, i)
 
 
 @kernel
-def speak(post, mail, own, tracks, beliefs, i):
+def speak(post, mail, own, peers, beliefs, i):
     messages.write_broadcast(post[i], own[i], beliefs[i])
     for j in range(len(beliefs)):
-        messages.write_unicast(mail[i, j], tracks[i, j])
+        messages.write_unicast(mail[i, j], peers[i, j].track)
 
 
 class Talk:
@@ -206,14 +206,15 @@ class Talk:
         n = self.n = len(x)
         self.scenario, self.p = scenario, scenario.params()
         self.beliefs = filled(records.BELIEF, n, x=x, y1=x, y2=x * x)
-        self.tracks, self.own = np.zeros((n, n), records.TRACK), np.zeros(n, records.EGO)
+        self.peers, self.own = np.zeros((n, n), records.PEER), np.zeros(n, records.EGO)
         self.post, self.mail = np.zeros(n, records.BROADCAST_RECORD), np.zeros((n, n), records.UNICAST_RECORD)
-        self.inboxes = filled(records.INBOX, (n, n), age=scenario.radio.memory)
+        self.peers["inbox"]["age"] = scenario.radio.memory
 
     def look(self, f, gamma):
         """f (N, N): how well i sees j; gamma (N, N), symmetric."""
-        self.tracks["f"], self.tracks["gamma"], self.tracks["held"] = f, gamma * (f > 0), f > 0
-        speak_again(self.post, self.mail, self.own, self.tracks, self.beliefs)
+        tracks = self.peers["track"]
+        tracks["f"], tracks["gamma"], tracks["held"] = f, gamma * (f > 0), f > 0
+        speak_again(self.post, self.mail, self.own, self.peers, self.beliefs)
 
     def weigh(self, A):
         """Links of weight A (N, N), symmetric: all see all they are linked with."""
@@ -223,9 +224,7 @@ class Talk:
     def round(self, arrived):
         """arrived (N, N): whether i hears j."""
         self.mail["arrives"] = arrived.T
-        message_round(
-            self.beliefs, self.tracks, self.post, self.mail, self.inboxes, np.arange(self.n), self.own, self.p
-        )
+        message_round(self.beliefs, self.peers, self.post, self.mail, np.arange(self.n), self.own, self.p)
 
     @property
     def lambda2_hat(self):
@@ -266,9 +265,9 @@ def test_power_iteration_round_by_round(kind, loss):
 
 
 @entry
-def speak_again(post, mail, own, tracks, beliefs):
+def speak_again(post, mail, own, peers, beliefs):
     for i in range(len(beliefs)):
-        speak(post, mail, own, tracks, beliefs, i)
+        speak(post, mail, own, peers, beliefs, i)
 
 
 def spread_team(n, rng, reach=3.0):

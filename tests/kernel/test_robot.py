@@ -37,9 +37,7 @@ class Memory(NamedTuple):
     """A robot's own arrays; records stand in arrays of one."""
 
     ego: np.ndarray
-    sights: np.ndarray
-    inboxes: np.ndarray
-    tracks: np.ndarray
+    peers: np.ndarray
     belief: np.ndarray
     beats: np.ndarray
     table: np.ndarray
@@ -76,9 +74,7 @@ def call(orders, turn, memory, said, heard, contacts, work, bounds, params):
     me = Robot(
         orders.index,
         m.ego[0],
-        m.sights,
-        m.inboxes,
-        m.tracks,
+        m.peers,
         m.belief[0],
         m.beats,
         m.table,
@@ -119,8 +115,8 @@ class Process:
         views = layout.rows(flat, chosen.max_neighbors, chosen.max_ranges)
         self.i, self.params, self.ranges = i, chosen.params(), views.ranges[0]
         self.contacts = np.array([j for j in range(n) if j != i], np.uint32)
-        kinds = records.EGO, records.SIGHT, records.INBOX, records.TRACK, records.BELIEF
-        arrays = [np.zeros(count, kind) for count, kind in zip((1, n, n, n, 1), kinds, strict=True)]
+        kinds = records.EGO, records.PEER, records.BELIEF
+        arrays = [np.zeros(count, kind) for count, kind in zip((1, n, 1), kinds, strict=True)]
         beats, table, mode = np.zeros(n, np.int64), np.zeros((rows, entries)), np.zeros(rows)
         self.memory = Memory(*arrays, beats, table, mode, flat[0], views.own, views.neighbors[0])
         self.said = mail(slots, n, entries, rows, unicast=(slots, n))
@@ -169,7 +165,7 @@ def nature(task, state, world, own, params, actions, tick):
             measure_ego_motion(bodies[i], state.ego[0, i], i, episode, p)
             for j in range(n):
                 if j != i:
-                    sight, index = state.sight[0, i, j], i * n + j
+                    sight, index = state.peer[0, i, j].sight, i * n + j
                     measure_relative_position(
                         bodies[i], bodies[j], pairs[i, j], state.ego[0, i], sight, index, episode, p
                     )
@@ -194,7 +190,7 @@ class Team:
         self.simulator, self.clock = Simulator(chosen), chosen.clock
         self.simulator.reset(seed)
         state, self.own = self.simulator.state, scratch(chosen.n_agents)
-        for name in ("ego", "sight", "inbox", "track", "belief", "beat", "broadcast", "unicast", "pair"):
+        for name in ("ego", "peer", "belief", "beat", "broadcast", "unicast", "pair"):
             getattr(state, name).reshape(-1).view(np.uint8).fill(0)
         state.episode["n_rounds"] = 0
         self.slots, self.repeats = chosen.radio.delay, chosen.radio.delay == 1 and chosen.radio.loss == 0.0
@@ -223,7 +219,7 @@ class Team:
         for me in self.robots:
             for name in MOTION:
                 me.memory.ego[name] = state.ego[name][0, me.i]
-            me.memory.sights[:] = state.sight[0, me.i]
+            me.memory.peers["sight"][:] = state.sight[0, me.i]
             me.do(SENSE, self.turn(0))
         for _ in range(self.clock.rounds):
             number = int(state.episode["n_rounds"][0])

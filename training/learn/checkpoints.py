@@ -67,9 +67,7 @@ def counters(arrays: Mapping[str, np.ndarray]) -> tuple[int, int, float]:
 # -------------------------------------------------------------------------------------------------------- simulators
 def check_state(stored: Mapping[str, np.ndarray], state: State, n_agents: int) -> None:
     """The arrays "state/..." must have shapes and fields of `state`, and indices within its bounds."""
-    for name, mine in state._asdict().items():
-        if name.endswith("_row"):  # a view
-            continue
+    for name, mine in state.arrays().items():
         array = stored.get(f"state/{name}")
         rule(isinstance(array, np.ndarray), f"state/{name}", "an array", type(array).__name__, "made by other code")
         assert array is not None

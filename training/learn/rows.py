@@ -154,9 +154,11 @@ class Rows(RobotsVecEnv):
 
 
 def pack_simulator(simulator: Simulator) -> dict[str, np.ndarray]:
-    """Worlds, state and generators of a simulator as arrays; views of other arrays are left out."""
-    arrays = {f"state/{name}": a for name, a in simulator.state._asdict().items() if not name.endswith("_row")}
-    arrays |= {f"world/{name}": a for name, a in simulator.world._asdict().items()}
+    """Worlds, state and generators of a simulator as arrays."""
+    arrays = {f"world/{name}": a for name, a in simulator.world._asdict().items()}
+    for name, array in simulator.state.arrays().items():
+        arrays[f"state/{name}"] = np.zeros(array.shape, array.dtype)
+        _copy_fields(arrays[f"state/{name}"], array)
     states = [json.dumps(rng.bit_generator.state) if rng else "" for rng in simulator.generators]
     return arrays | {"generators": np.array(states)}
 
@@ -169,13 +171,17 @@ def unpack_simulator(simulator: Simulator, arrays: Mapping[str, np.ndarray]) -> 
     check_state(arrays, simulator.state, n_agents)
     check_world(arrays, simulator.world, n_agents)
     simulator.generators[:] = generators(arrays.get("generators"), simulator.n_worlds)
-    for name, array in simulator.state._asdict().items():
-        if not name.endswith("_row"):
-            for field in array.dtype.names or (...,):
-                array[field] = arrays[f"state/{name}"][field]
+    for name, array in simulator.state.arrays().items():
+        _copy_fields(array, arrays[f"state/{name}"])
     world = simulator.world
     kept = {name: arrays[f"world/{name}"].astype(array.dtype) for name, array in world._asdict().items()}
     simulator.world = world._replace(**kept)
+
+
+def _copy_fields(target: np.ndarray, source: np.ndarray) -> None:
+    """Copy field by field: a copy of a whole view has any bytes between its fields."""
+    for field in target.dtype.names or (...,):
+        target[field] = source[field]
 
 
 def _state_of_version_0_1(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

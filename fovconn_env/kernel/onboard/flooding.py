@@ -12,11 +12,11 @@ from fovconn_env.kernel.onboard.power_iteration import set_estimate
 
 
 @kernel
-def write_own_row(table, tracks, i, tick):
+def write_own_row(table, peers, i, tick):
     """Write robot i's links, as both ends agree on them, into its own row of its table."""
-    n = tracks.shape[0]
+    n = peers.shape[0]
     for j in range(n):
-        table[i, j] = tracks[j].weight
+        table[i, j] = peers[j].track.weight
     table[i, n] = tick
 
 

@@ -20,14 +20,15 @@ def write_self(row, ego, belief, share, leads, stick):
 
 
 @kernel
-def sort_present(nearest, tracks, contacts):
+def sort_present(nearest, peers, contacts):
     """Write the neighbours among robot i's contacts to `nearest` (N,), by (distance, index); returns how many."""
     count = 0
     for j in contacts:
-        if not tracks[j].present:
+        track = peers[j].track
+        if not track.present:
             continue
-        k, distance = count, tracks[j].distance
-        while k > 0 and tracks[nearest[k - 1]].distance > distance:
+        k, distance = count, track.distance
+        while k > 0 and peers[nearest[k - 1]].track.distance > distance:
             nearest[k] = nearest[k - 1]
             k -= 1
         nearest[k] = j
@@ -36,19 +37,19 @@ def sort_present(nearest, tracks, contacts):
 
 
 @kernel
-def write_neighbors(rows, nearest, tracks, inboxes, belief, mode, p):
+def write_neighbors(rows, nearest, peers, belief, mode, p):
     """Fill robot i's neighbour rows, (M,) NEIGHBOR, with the first M of its neighbours `nearest`.
 
     mode: the eigenvector (N,) of its table, with lambda2 = "flooding".
     """
-    root = math.sqrt(tracks.shape[0] * max(belief.y2, 1e-6))
+    root = math.sqrt(peers.shape[0] * max(belief.y2, 1e-6))
     for k in range(rows.shape[0]):
         if k >= nearest.shape[0]:
             if rows[k].present > 0.0:
                 _clear_row(rows[k])
             continue
         j = nearest[k]
-        _write_neighbor(rows[k], tracks[j], inboxes[j], root, p)
+        _write_neighbor(rows[k], peers[j].track, peers[j].inbox, root, p)
         if p.lambda2 == FLOODING:
             rows[k].v2_hat = mode[j]  # the entry that the neighbour sends may have the other sign
 

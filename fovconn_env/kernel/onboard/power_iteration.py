@@ -50,20 +50,21 @@ def agree_weight(track, sent, inbox, p):
 
 
 @kernel
-def power_round(belief, tracks, sent, inboxes, contacts, p):
+def power_round(belief, peers, sent, contacts, p):
     """Run one round of robot i, from its own last broadcast part (`sent`) and the messages of the same round (inboxes).
 
     Where messages travel for L rounds it runs once in L rounds, so that robot i still holds what it sent.
     """
     lx = m1 = m2 = m3 = n1 = n2 = n3 = degree = strength = 0.0
     for j in contacts:
-        received = inboxes[j]
+        peer = peers[j]
+        received = peer.inbox
         if received.age >= p.memory:
             continue
         w = 1.0 / (1.0 + max(sent.degree, received.degree))  # Metropolis weight
         degree += 1.0
-        strength += tracks[j].weight
-        lx += tracks[j].weight * (sent.x - received.x)  # (L x)_i
+        strength += peer.track.weight
+        lx += peer.track.weight * (sent.x - received.x)  # (L x)_i
         n1 += w * (sent.q1 - received.q1)  # (M q)_i
         n2 += w * (sent.q2 - received.q2)
         n3 += w * (sent.q3 - received.q3)
@@ -83,7 +84,7 @@ def power_round(belief, tracks, sent, inboxes, contacts, p):
     mean = belief.y1 + p.power_lead * (belief.y1 - y1)  # looks ahead: y1 lags by 1 / g rounds
     excess = belief.y2 - 1.0
     x_next = (x - p.power_k1 * mean - p.power_k2 * lx) / (1.0 + p.power_k3 * max(excess, 0.0))
-    n = tracks.shape[0]
+    n = peers.shape[0]
     bound = strength * n / (n - 1.0)  # lambda2 is not above it (Fiedler 1973); where lambda2_hat is, i is coming loose
     push = p.power_k2 * max(rayleigh(belief.y2, belief.y3, n) - bound, 0.0)
     belief.x = bounded(x_next - p.power_k3 * min(excess, 0.0) * x + math.copysign(push, x - mean))

@@ -40,9 +40,7 @@ class Robot(NamedTuple):
 
     index: int  # i
     ego: np.record  # EGO
-    sights: np.ndarray  # (N,) SIGHT
-    inboxes: np.ndarray  # (N,) INBOX
-    tracks: np.ndarray  # (N,) TRACK
+    peers: np.ndarray  # (N,) PEER
     belief: np.record  # BELIEF
     beats: np.ndarray  # (N,) int64, see liveness.py
     table: np.ndarray  # (N, N + 1), see flooding.py; with another estimator its sizes are 0
@@ -57,9 +55,10 @@ def start(me, x, p):
     """Empty what is on board; x in (-1, 1): the robot's start draw, its first entry of the eigenvector."""
     if p.lambda2 == POWER:
         init_estimate(me.belief, x)
-    for j in range(me.tracks.shape[0]):
-        me.inboxes[j].age = p.memory
-        me.tracks[j].cos_yaw = me.tracks[j].cos_used = 1.0
+    for j in range(me.peers.shape[0]):
+        peer = me.peers[j]
+        peer.inbox.age = p.memory
+        peer.track.cos_yaw = peer.track.cos_used = 1.0
 
 
 @stage
@@ -71,14 +70,16 @@ def sense(me, p):
 @stage
 def see(me, j, p):
     """Take in a tick's sight of robot j, or that there is none, after `sense`."""
-    relative_yaw.update_track(me.tracks[j], me.sights[j], me.ego, p)
+    peer = me.peers[j]
+    relative_yaw.update_track(peer.track, peer.sight, me.ego, p)
 
 
 @stage
 def receive(me, outbox, j, message, turn, p):
     """Take in the message of j that arrives in this round, or that none does; `outbox` holds what met it."""
-    receive_message(message.broadcast, message.unicast, me.inboxes[j], turn.news, p)
-    agree_weight(me.tracks[j], outbox.unicast[j], me.inboxes[j], p)
+    peer = me.peers[j]
+    receive_message(message.broadcast, message.unicast, peer.inbox, turn.news, p)
+    agree_weight(peer.track, outbox.unicast[j], peer.inbox, p)
     if turn.news and message.unicast.arrives:
         merge_beats(me.beats, message.beats)
         if p.lambda2 == FLOODING:
@@ -89,11 +90,11 @@ def receive(me, outbox, j, message, turn, p):
 def send(me, outbox, contacts, turn, p):
     """Run a round of the power iteration on what was received, then write the part of this round's messages for all."""
     if turn.estimates and p.lambda2 == POWER:
-        power_round(me.belief, me.tracks, outbox.broadcast, me.inboxes, contacts, p)
+        power_round(me.belief, me.peers, outbox.broadcast, contacts, p)
     if turn.first:
         send_beats(outbox.beats, me.beats, me.index, turn.tick)
         if p.lambda2 == FLOODING:
-            write_own_row(me.table, me.tracks, me.index, turn.tick)
+            write_own_row(me.table, me.peers, me.index, turn.tick)
             copy_table(outbox.table, me.table)
     write_broadcast(outbox.broadcast, me.ego, me.belief)
 
@@ -101,13 +102,14 @@ def send(me, outbox, contacts, turn, p):
 @stage
 def send_note(me, outbox, j):
     """Write the part of a message that is for robot j alone, in a round in which such parts are written."""
-    write_unicast(outbox.unicast[j], me.tracks[j])
+    write_unicast(outbox.unicast[j], me.peers[j].track)
 
 
 @stage
 def estimate_yaw(me, j, p):
     """Relative yaw of robot j, after a tick's messages."""
-    relative_yaw.estimate_yaw(me.tracks[j], me.sights[j], me.ego, me.inboxes[j], p)
+    peer = me.peers[j]
+    relative_yaw.estimate_yaw(peer.track, peer.sight, me.ego, peer.inbox, p)
 
 
 @stage
@@ -118,12 +120,12 @@ def observe(me, contacts, tick, leads, stick, work, bounds, p):
     nearest) of Scratch. bounds: (low, high) of `flat`, (D,) each.
     """
     if p.lambda2 == POWER:
-        read_estimate(me.belief, me.tracks.shape[0])
+        read_estimate(me.belief, me.peers.shape[0])
     elif p.lambda2 == FLOODING:
         build_laplacian(me.table, work[0], tick, p)
         solve_table(me.belief, me.mode, work[0], work[1], me.index)
     write_self(me.own_row, me.ego, me.belief, live_share(me.beats, tick, p), leads, stick)
-    present = sort_present(work[2], me.tracks, contacts)
-    write_neighbors(me.neighbor_rows, work[2][:present], me.tracks, me.inboxes, me.belief, me.mode, p)
+    present = sort_present(work[2], me.peers, contacts)
+    write_neighbors(me.neighbor_rows, work[2][:present], me.peers, me.belief, me.mode, p)
     clip(me.flat, bounds[0], bounds[1])
     return max(present - me.neighbor_rows.shape[0], 0)

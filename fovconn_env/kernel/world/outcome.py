@@ -146,7 +146,7 @@ def crowding(body, p):
 
 
 @kernel
-def write_infos(bodies, tracks, beliefs, infos, col, indptr, episode, p):
+def write_infos(bodies, peers, beliefs, infos, col, indptr, episode, p):
     """Write the infos that are not reward terms, causes of lost links, bytes or dropped rows."""
     n = bodies.shape[0]
     for i in range(n):
@@ -158,8 +158,9 @@ def write_infos(bodies, tracks, beliefs, infos, col, indptr, episode, p):
         info.min_distance, info.clearance = bodies[i].nearest, min(bodies[i].clearance, 1e3)
         largest = 0.0
         for j in col[indptr[i] : indptr[i + 1]]:
-            if tracks[i, j].present and tracks[i, j].valid:
-                largest = max(largest, yaw_error(bodies[i], bodies[j], tracks[i, j]))
+            track = peers[i, j].track
+            if track.present and track.valid:
+                largest = max(largest, yaw_error(bodies[i], bodies[j], track))
         info.yaw_error = 2.0 * math.atan(largest)
         info.success = 1.0 if episode.success else 0.0
         info.collision = 1.0 if episode.collision else 0.0
