@@ -33,7 +33,7 @@ class Random(Policy):
     def decide(self, flat: np.ndarray) -> np.ndarray:
         """Actions (R, 4) for flat observations (R, D)."""
         actions = np.empty((len(flat), 4), np.float32)
-        hash_actions(flat.view(np.uint32), actions)
+        hash_actions(flat.view(np.uint32), np.zeros(len(flat), np.uint64), actions)
         return actions
 
 
@@ -205,11 +205,14 @@ def divide(vector, number):
 
 
 @entry
-def hash_actions(bits, actions):
-    """Fill actions (R, 4) with uniform numbers in [-1, 1] from a hash of each row of bits, (R, D) uint32."""
-    for r in range(bits.shape[0]):
-        key = np.uint64(0)
-        for k in range(bits.shape[1]):
-            key = draw(key, bits[r, k], k, 0)
+def hash_actions(bits, keys, actions):
+    """Fill actions (R, 4) with uniform numbers in [-1, 1] from a hash of each row of bits, (R, D) uint32; keys: (R,), 0.
+
+    Rows in the inner loop: their hashes are computed side by side, each waits for its own last step.
+    """
+    for k in range(bits.shape[1]):
+        for r in range(bits.shape[0]):
+            keys[r] = draw(keys[r], bits[r, k], k, 0)
+    for r in range(actions.shape[0]):
         for k in range(actions.shape[1]):
-            actions[r, k] = 2.0 * uniform(draw(key, 0, k, 1)) - 1.0
+            actions[r, k] = 2.0 * uniform(draw(keys[r], 0, k, 1)) - 1.0

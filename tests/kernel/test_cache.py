@@ -307,7 +307,7 @@ def test_the_package_imports_and_runs_without_a_home(tmp_path):
         import numpy as np
         from fovconn_env.baselines.laws.simple import hash_actions
         actions = np.full((1, 4), np.nan, np.float32)
-        hash_actions(np.ones((1, 3), np.uint32), actions)
+        hash_actions(np.ones((1, 3), np.uint32), np.zeros(1, np.uint64), actions)
         print(np.isfinite(actions).all(), hash_actions._cache.cache_path)
     """
     variables = {name: value for name, value in os.environ.items() if name not in ("HOME", "NUMBA_CACHE_DIR")}

@@ -156,6 +156,8 @@ class _Pool:
                 if kind == "died":
                     worker.connection.close()
                     self._workers.remove(worker)
+                elif kind == "done" and waiting:  # it does not wait while the result is kept
+                    self._hand_out(worker, orders, waiting)
                 if number is not None:
                     yield number, kind, value
         if self._kill.is_set():
