@@ -1,8 +1,10 @@
 """Fixtures that several files use."""
 
+import gc
 import multiprocessing
 import os
 import sys
+from contextlib import contextmanager
 from multiprocessing import forkserver
 from pathlib import Path
 from types import SimpleNamespace
@@ -29,23 +31,39 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
+def pytest_collection_finish():
+    """What is loaded by now stays: to look for garbage in it, again and again, took a tenth of the time."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000)
+
+
 @pytest.fixture(scope="session")
-def _fork_server():
-    """The process that `warm` forks, see warm.py."""
-    from fovconn_env.training.evaluation.workers import _inherited  # not at the top: nor have they scipy
+def fork_server():
+    """A context in which processes that fly are forks of one that has loaded what they need, see warm.py."""
+    from fovconn_env.training.evaluation import workers  # not at the top: nor have they scipy
 
     multiprocessing.set_forkserver_preload(["tests.warm"])
     before = Path.cwd()
     os.chdir(Path(__file__).parents[1])  # where it finds `tests`
-    with _inherited():
+    with workers._inherited():
         forkserver.ensure_running()
     os.chdir(before)
 
+    @contextmanager
+    def forks():
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(workers, "START", "forkserver")
+            yield
+
+    return forks
+
 
 @pytest.fixture
-def warm(_fork_server, monkeypatch):
-    """Processes that fly are forks of one that has loaded what they need, not new ones as a user's."""
-    monkeypatch.setattr("fovconn_env.training.evaluation.workers.START", "forkserver")
+def warm(fork_server):
+    """Processes that fly are forks, not new ones as a user's."""
+    with fork_server():
+        yield
 
 
 @pytest.fixture
