@@ -9,7 +9,7 @@ import numpy as np
 
 
 def quicken_records() -> None:
-    """Let `np.record` find its fields as properties, made when they are first read. Records in records have none."""
+    """Let `np.record` find its fields as properties, made when they are first read."""
 
     def find(record, name):
         if name not in record.dtype.names:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fovconn_env.kernel import records
 from fovconn_env.kernel.jit import code_of, entry
 from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios.settings import Airframe, Camera, Course, Noise
@@ -63,6 +64,27 @@ def test_compiled_and_plain_agree(case, tmp_path):
     assert here["track.present"].any()
     assert (here["range_row.present"] > 0).any()
     assert here["reward."].any()
+
+
+def test_fields_of_a_record_are_read_and_written_by_name():
+    """With the JIT by numpy, without it as `plain` has them; a record in a record is a part of it."""
+    kinds = [kind for kind in vars(records).values() if isinstance(kind, np.dtype)]
+    assert len(kinds) > 10
+    for kind in kinds:
+        array, record = np.zeros(1, kind), np.zeros(2, kind)[1]
+        parts = [(array[0], record)]
+        for one, other in parts:
+            for k, name in enumerate(one.dtype.names):
+                if one.dtype[name].names is not None:
+                    parts.append((getattr(one, name), getattr(other, name)))
+                    continue
+                one[name] = (k + 1) % 2
+                setattr(other, name, (k + 1) % 2)
+                assert getattr(other, name) == (k + 1) % 2
+                assert type(getattr(other, name)) is one.dtype[name].type
+        assert record.item() == array[0].item()
+        with pytest.raises(AttributeError):
+            record.no_such_field  # noqa: B018
 
 
 @entry
