@@ -81,10 +81,8 @@ def refine(a, size, y, factor, vectors):
     image, pivots = vectors[0], vectors[1]
     for _ in range(_STEPS):
         value = rest = 0.0
+        multiply(a, y, image)
         for i in range(n):
-            image[i] = 0.0
-            for j in range(n):
-                image[i] += a[i, j] * y[j]
             value += image[i] * y[i]
         for i in range(n):
             rest += (image[i] - value * y[i]) ** 2
@@ -93,6 +91,19 @@ def refine(a, size, y, factor, vectors):
         factorise(a, value, size, factor, pivots)
         divide(factor, pivots, y)
     return math.nan
+
+
+@kernel
+def multiply(a, y, image):
+    """Write a y to image (n,), two rows at a time: neither sum waits for the other."""
+    n = y.shape[0]
+    for i in range(0, n, 2):
+        k = min(i + 1, n - 1)  # the last row of an odd number stands alone
+        first = second = 0.0
+        for j in range(n):
+            first += a[i, j] * y[j]
+            second += a[k, j] * y[j]
+        image[i], image[k] = first, second
 
 
 @kernel
