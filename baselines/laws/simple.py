@@ -206,7 +206,7 @@ def divide(vector, number):
 
 @entry
 def hash_actions(bits, keys, actions):
-    """Fill actions (R, 4) with uniform numbers in [-1, 1] from a hash of each row of bits, (R, D) uint32; keys: (R,), 0.
+    """Fill actions (R, 4) with uniform numbers in [-1, 1] from hashes of rows of bits, (R, D) uint32; keys (R,), 0.
 
     Rows in the inner loop: their hashes are computed side by side, each waits for its own last step.
     """

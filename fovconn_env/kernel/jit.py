@@ -118,7 +118,8 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
 
 def disjoint(function: Callable[P, R]) -> Callable[P, R]:
     """As `kernel`, for a function that writes no array that overlaps another of its arguments: its loops are faster."""
-    return _inner(numba.njit(function, **(_INNER | {"pipeline_class": disjoint_compiler})))
+    options: dict[str, Any] = {**_INNER, "pipeline_class": disjoint_compiler}
+    return _inner(numba.njit(function, **options))
 
 
 def formula(function: Callable[P, R]) -> Callable[P, R]:
