@@ -7,6 +7,7 @@ is run by `policy`, without torch. Scales and units: `inputs`.
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -52,6 +53,12 @@ class RowList(NamedTuple):
         starts = self.starts[first : last + 1]
         return RowList(self.rows[starts[0] - self.starts[0] : starts[-1] - self.starts[0]], starts)
 
+    @staticmethod
+    def join(lists: Sequence[RowList]) -> RowList:
+        """One list, of the robots of the first list, then of the second, and so on."""
+        counts = np.concatenate([np.diff(each.starts) for each in lists])
+        return RowList(torch.cat([each.rows for each in lists]), np.append(0, np.cumsum(counts)))
+
 
 class Inputs(NamedTuple):
     """What an encoder reads of R observations, scaled: `own` (R, O), and sets of rows."""
@@ -61,11 +68,19 @@ class Inputs(NamedTuple):
 
     def take(self, chosen: np.ndarray) -> Inputs:
         """Those of the chosen observations, copied."""
-        return Inputs(self.own[torch.from_numpy(chosen)], tuple(part.take(chosen) for part in self.sets))
+        return Inputs(
+            self.own.index_select(0, torch.from_numpy(chosen)), tuple(part.take(chosen) for part in self.sets)
+        )
 
     def part(self, first: int, last: int) -> Inputs:
         """Those of the observations from `first` to before `last`, not copied."""
         return Inputs(self.own[first:last], tuple(part.part(first, last) for part in self.sets))
+
+    @staticmethod
+    def join(parts: Sequence[Inputs]) -> Inputs:
+        """Those of the first part, then of the second, and so on, copied."""
+        own, sets = zip(*parts, strict=True)
+        return Inputs(torch.cat(own), tuple(RowList.join(lists) for lists in zip(*sets, strict=True)))
 
 
 class Encoder(nn.Module):

@@ -173,7 +173,7 @@ def test_the_kernel_flies_what_torch_learned(kind, base, seen, tmp_path):
     learning.write_policy(trained, tmp_path, {}, ())
     policy = from_file(tmp_path / f"{trained.name}.safetensors")(scenario(n_agents=5))
     rows = Rows([scenario(n_agents=5)], 1, base=base)
-    inputs = rows._extended(seen, rows.slices[0])
+    inputs = rows._with_base(0, seen) if base else seen
     output = mean_action(trained.policy, inputs).numpy()
     led = seen[:, LEADER, None] > 0
     assert led.any()
@@ -400,7 +400,8 @@ def test_residual_begins_as_its_law(tmp_path):
 @pytest.mark.parametrize("kind", ["set", "mlp"])
 @pytest.mark.parametrize("alone", [False, True])
 def test_the_gradient_of_ppo_is_that_of_autograd(kind, alone, seen):
-    """Of the loss written with SB3's distributions; some ratios are clipped."""
+    """Of the loss written with SB3's distributions, in parts of a batch; some ratios are clipped."""
+    rng = np.random.default_rng(0)
     settings = PPOSettings(n_worlds=1, n_steps=2, batch=4, entropy=0.01)
     trained = Team([scenario(n_agents=5)], 0, settings, dataclasses.replace(SMALL, kind=kind), n_threads=1)
     policy, flat, count, s = trained.policy, torch.from_numpy(seen), len(seen), settings
@@ -423,7 +424,8 @@ def test_the_gradient_of_ppo_is_that_of_autograd(kind, alone, seen):
 
     policy.zero_grad()
     samples = Samples(prepare(policy, seen), actions, start, before, gain, returns)
-    terms = trained.set_gradient((actor(policy), critic(policy)), samples, alone, 0.3)
+    parts = [samples.take(some) for some in np.array_split(rng.permutation(count), 3)]
+    terms = sum(trained.add_gradient((actor(policy), critic(policy)), part, count, alone, 0.3) for part in parts)
     for name, parameter in policy.named_parameters():
         gradient = expected[name]
         if gradient is None:

@@ -84,7 +84,7 @@ class Dagger(Algorithm):
         pilot = actor(self.policy)
         for k in range(self.s.n_steps):
             keep = k % self.s.every == 0
-            observations = self.rows.observations.copy()
+            observations = self.rows.observations
             actions = pilot.run(prepare(self.policy, observations))[0].numpy()
             if keep or self.by_law.any():
                 labels = self.labels()
@@ -157,7 +157,7 @@ def regress(policy, seen, wanted, count, rng, rate, s) -> float:
         output, kept = learner.run(inputs)
         error = output - labels
         near = error.clamp(-s.knee, s.knee)
-        learner.set_gradient(kept, near / (s.knee * labels.numel()))
+        learner.add_gradient(kept, near / (s.knee * labels.numel()))
         total += float((near * (error - near / 2.0)).mean()) / s.knee
         torch.nn.utils.clip_grad_norm_(learner.parameters, 1.0)
         policy.optimizer.step()

@@ -26,6 +26,7 @@ from fovconn_env.bounds import check_numbers, fraction, non_negative, positive
 from fovconn_env.training.learn.checkpoints import below, check_tensors
 from fovconn_env.training.learn.learning import Algorithm
 from fovconn_env.training.learn.model import (
+    PART,
     Branch,
     Network,
     actor,
@@ -77,7 +78,7 @@ class Samples(NamedTuple):
     def take(self, chosen: np.ndarray) -> Samples:
         """The chosen samples, copied."""
         index = torch.from_numpy(chosen)
-        return Samples(self.inputs.take(chosen), *(tensor[index] for tensor in self[1:]))
+        return Samples(self.inputs.take(chosen), *(tensor.index_select(0, index) for tensor in self[1:]))
 
 
 class Team(Algorithm):
@@ -123,18 +124,17 @@ class Team(Algorithm):
         """n_steps in all worlds, with noise on the actions."""
         s, log_std, size = self.s, self.policy.log_std, (self.s.n_steps, self.rows.num_envs)
         noise, pilot = torch.randn(*size, ACTION), actor(self.policy)
-        observations = np.empty((s.n_steps + 1, *self.rows.observations.shape), np.float32)
         rewards, over, actions = np.empty(size, np.float32), np.empty(size, bool), log_std.exp() * noise
         cut = []  # step, row and last observation of the flights that ended by their length alone
-        observations[0] = self.rows.observations
+        seen = [prepare(self.policy, self.rows.observations)]
         for k in range(s.n_steps):
-            actions[k] += pilot.run(prepare(self.policy, observations[k]))[0]
+            actions[k] += pilot.run(seen[k])[0]
             _, rewards[k], over[k], infos = self.rows.step(actions[k].numpy())
-            observations[k + 1] = self.rows.observations
+            seen.append(prepare(self.policy, self.rows.observations))
             for row in np.flatnonzero(over[k]).tolist():
                 if infos[row]["TimeLimit.truncated"]:
                     cut.append((k, row, infos[row]["terminal_observation"]))
-        inputs = prepare(self.policy, observations.reshape(-1, observations.shape[2]))
+        inputs = Inputs.join(seen)
         values = self.values(inputs).reshape(s.n_steps + 1, -1)
         if cut:
             steps, rows, last = zip(*cut, strict=True)
@@ -162,35 +162,41 @@ class Team(Algorithm):
         for _ in range(s.n_epochs):
             terms = torch.zeros(len(CURVES))
             for chosen in np.array_split(rng.permutation(count), n_batches):
-                batch = flown.take(chosen)
-                deviation, mean = torch.std_mean(batch.gain)
-                batch = batch._replace(gain=(batch.gain - mean) / (deviation + 1e-8))
-                terms += self.set_gradient(branches, batch, alone, pull)
+                policy.optimizer.zero_grad()
+                spread, mean = torch.std_mean(flown.gain[torch.from_numpy(chosen)])
+                for few in np.array_split(chosen, math.ceil(len(chosen) / PART)):
+                    part = flown.take(few)
+                    part = part._replace(gain=(part.gain - mean) / (spread + 1e-8))
+                    terms += self.add_gradient(branches, part, len(chosen), alone, pull)
                 nn.utils.clip_grad_norm_(policy.parameters(), s.max_norm)
                 policy.optimizer.step()
         curves = dict(zip(CURVES, (terms / n_batches).tolist(), strict=True))
         return {**curves, "std": float(policy.log_std.detach().exp().mean()), "anchor": pull}
 
     @torch.no_grad()
-    def set_gradient(self, branches: tuple[Branch, Branch], batch: Samples, alone: bool, pull: float) -> torch.Tensor:
-        """Set the gradient of a batch, and return its CURVES.
+    def add_gradient(
+        self, branches: tuple[Branch, Branch], part: Samples, size: int, alone: bool, pull: float
+    ) -> torch.Tensor:
+        """Add to the gradient what a part of a batch of `size` samples has in it; return its share of CURVES.
 
         The loss is -min(gain ratio, gain clip(ratio)) + value (V - return)^2 - entropy, and pull times the divergence
         from the start. alone: the critic learns alone.
         """
-        s, log_std, size = self.s, self.policy.log_std, len(batch.actions)
-        (mean, kept), (values, kept_values) = (branch.run(batch.inputs) for branch in branches)
-        noise = (batch.actions - mean) / log_std.exp()
-        change = gaussian(noise, log_std) - batch.log_prob
-        gain = batch.gain * change.exp()
-        limited = batch.gain * change.exp().clamp(1.0 - s.clip, 1.0 + s.clip)
-        missed = values.flatten() - batch.returns
-        away = (mean - batch.start) / log_std.exp() if pull > 0.0 else torch.zeros(1, ACTION)
-        branches[1].set_gradient(kept_values, (2.0 * s.value / size) * missed[:, None])
+        s, log_std, (pilot, judge) = self.s, self.policy.log_std, branches
+        values, kept = judge.run(part.inputs)
+        missed = values.flatten() - part.returns
+        judge.add_gradient(kept, (2.0 * s.value / size) * missed[:, None])
+        mean, kept = pilot.run(part.inputs)
+        noise = (part.actions - mean) / log_std.exp()
+        change = gaussian(noise, log_std) - part.log_prob
+        gain = part.gain * change.exp()
+        limited = part.gain * change.exp().clamp(1.0 - s.clip, 1.0 + s.clip)
+        away = (mean - part.start) / log_std.exp() if pull > 0.0 else torch.zeros(1, ACTION)
         if not alone:
             slope = torch.where(gain <= limited, -gain / size, 0.0)[:, None]  # of the logarithm of the density
-            branches[0].set_gradient(kept, (slope * noise + (pull / size) * away) / log_std.exp())
-            log_std.grad = (slope * (noise.square() - 1.0)).sum(0) - s.entropy  # the entropy's gradient is 1
+            pilot.add_gradient(kept, (slope * noise + (pull / size) * away) / log_std.exp())
+            slopes = (slope * (noise.square() - 1.0)).sum(0) - s.entropy * len(noise) / size  # the entropy's is 1
+            log_std.grad = slopes if log_std.grad is None else log_std.grad.add_(slopes)
         sums = -torch.min(gain, limited).sum(), missed.square().sum(), -change.sum(), away.square().sum() / 2.0
         return torch.stack(sums) / size
 

@@ -61,7 +61,7 @@ class Rows(RobotsVecEnv):
         self.observation_space = spaces.Box(low.astype(np.float32), high.astype(np.float32))
         reach = 1.0 if base else max(float((1.0 / unit).max()) for unit in self.gains)
         self.action_space = spaces.Box(-reach, reach, (ACTION,))
-        self.observations = np.zeros((n_rows, len(low)), np.float32)  # the last ones
+        self.observations = np.zeros((n_rows, len(low)), np.float32)  # the last ones; a step makes a new array
         self._return, self._length = np.zeros(n_rows), np.zeros(n_rows, np.int64)
 
     def seed(self, seed: Any = None) -> Sequence[int | None]:
@@ -72,12 +72,10 @@ class Rows(RobotsVecEnv):
     def reset(self) -> np.ndarray:
         """Start all worlds and return the observations (R, D + extra)."""
         self.seed(self._seed)
-        flat = super().reset()
-        for rows in self.slices:
-            self.observations[rows] = self._extended(flat[rows], rows)
+        self.observations = self._extended(super().reset())
         self._return[:], self._length[:] = 0.0, 0
         self.ended.clear()
-        return self.observations.copy()
+        return self.observations
 
     def flat(self, k: int) -> np.ndarray:
         """The observations of scenario k as the environment gave them, (R_k, D)."""
@@ -92,11 +90,11 @@ class Rows(RobotsVecEnv):
         """Step; observations, rewards, dones and infos of all rows. Raises `ValueError` for NaN."""
         super().step_async(np.concatenate([self._flown(k) for k in range(len(self.teams))]))
         flat, rewards, dones, infos = super().step_wait()
-        for rows in self.slices:
-            self.observations[rows] = self._extended(flat[rows], rows)
+        self.observations = self._extended(flat)
+        for k, rows in enumerate(self.slices):
             ended = rows.start + np.flatnonzero(dones[rows])
-            if len(ended):
-                last = self._extended(np.stack([infos[row]["terminal_observation"] for row in ended]), rows)
+            if self._bases and len(ended):
+                last = self._with_base(k, np.stack([infos[row]["terminal_observation"] for row in ended]))
                 for row, observation in zip(ended.tolist(), last, strict=True):
                     infos[row]["terminal_observation"] = observation
         self._return += rewards
@@ -107,7 +105,7 @@ class Rows(RobotsVecEnv):
             infos[row]["episode"] = {"r": outcome["return"], "l": outcome["length"], "t": 0.0}
             self.ended.append(outcome)
         self._return[dones], self._length[dones] = 0.0, 0
-        return self.observations.copy(), rewards * np.float32(self.reward), dones, infos
+        return self.observations, rewards * np.float32(self.reward), dones, infos
 
     def outcomes(self) -> dict[str, float]:
         """Means over the episodes that ended since the last call, a row each; empty if none did."""
@@ -136,11 +134,15 @@ class Rows(RobotsVecEnv):
             unpack_simulator(team.simulator, own)
         self.ended.clear()
 
-    def _extended(self, flat: np.ndarray, here: slice) -> np.ndarray:
+    def _extended(self, flat: np.ndarray) -> np.ndarray:
+        """Observations of all rows, (R, D), with the actions of their base laws."""
         if not self._bases:
             return flat
-        k = self.slices.index(here)
-        return np.concatenate([flat, self._bases[k].decide(flat) / self.gains[k]], axis=1)
+        return np.concatenate([self._with_base(k, flat[rows]) for k, rows in enumerate(self.slices)])
+
+    def _with_base(self, k: int, flat: np.ndarray) -> np.ndarray:
+        """Observations of scenario k with the actions of its base law."""
+        return np.concatenate([flat, self._bases[k].decide(flat) / self.gains[k]], axis=1, dtype=np.float32)
 
     def _flown(self, k: int) -> np.ndarray:
         """Shares that the robots of scenario k fly."""
