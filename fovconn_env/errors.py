@@ -42,7 +42,7 @@ class MissingPackage(FovconnError, ImportError):
 
 # By the name to import: the extra of this project that brings a package.
 EXTRAS = {
-    **dict.fromkeys(("typer", "rich", "jinja2", "filelock"), "cli"),
+    **dict.fromkeys(("typer", "rich", "scipy", "jinja2", "filelock"), "cli"),
     **dict.fromkeys(("matplotlib", "PIL", "pygame"), "render"),
     **dict.fromkeys(("av", "pyarrow"), "export"),
     "rerun": "rerun",

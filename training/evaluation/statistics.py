@@ -3,12 +3,13 @@
 Two policies fly the same seeds: `a` and `b` of a comparison are paired, entry by entry. A stratum is a scenario. Every
 resample comes from a generator with a fixed seed, so that the same episodes always give the same numbers.
 
-These few formulas are written out: scipy has them, and its import alone takes as long as all that is computed here.
+scipy is imported where it is used: that takes longer than all other imports, and processes that fly need none of it.
 """
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import NamedTuple
@@ -16,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 
 LEVEL = 0.95
-Z = 1.959963984540054  # of the standard normal distribution, LEVEL lies between -Z and Z
 RESAMPLES = 2000
 SEED = 7  # of all resamples
 
@@ -43,9 +43,11 @@ class Survival(NamedTuple):
 
 def share_interval(hits: np.ndarray) -> tuple[float, float]:
     """Wilson's score interval of a share; hits: (E,) of 0 and 1."""
-    count, share = len(hits), int(hits.sum()) / len(hits)
-    width = 2 * (count + Z**2)
-    centre, reach = (2 * count * share + Z**2) / width, Z / width * math.sqrt(4 * count * share * (1 - share) + Z**2)
+    from scipy.special import ndtri
+
+    count, share, z = len(hits), int(hits.sum()) / len(hits), float(ndtri(0.5 + LEVEL / 2))
+    width = 2 * (count + z**2)
+    centre, reach = (2 * count * share + z**2) / width, z / width * math.sqrt(4 * count * share * (1 - share) + z**2)
     return 0.0 if share == 0 else centre - reach, 1.0 if share == 1 else centre + reach
 
 
@@ -55,9 +57,12 @@ def paired_share_difference(a: np.ndarray, b: np.ndarray) -> Estimate:
     One imaginary pair of each discordant kind keeps it from shrinking to a point where a and b agree everywhere.
     Bonett and Price, J. Educational and Behavioral Statistics 37(4), 2012.
     """
+    from scipy import stats
+
     only_a, only_b, count = int(np.sum(a > b)), int(np.sum(b > a)), len(a)
     p, q = (only_a + 1) / (count + 2), (only_b + 1) / (count + 2)
-    reach = Z * math.sqrt((p + q - (p - q) ** 2) / (count + 2))
+    z = float(stats.norm.ppf(0.5 + LEVEL / 2))
+    reach = z * math.sqrt((p + q - (p - q) ** 2) / (count + 2))
     return Estimate((only_a - only_b) / count, max(p - q - reach, -1.0), min(p - q + reach, 1.0))
 
 
@@ -103,46 +108,46 @@ def survival(times: np.ndarray, lost: np.ndarray) -> Survival:
     times (E,): of the loss where `lost` (E,), else of the last moment seen. Before the first loss the band is closed;
     once all are lost its upper edge stays.
     """
-    end, group, count = np.unique(times, return_inverse=True, return_counts=True)
-    gone, left = np.bincount(group, lost), len(times) - np.cumsum(count) + count
-    share = np.cumprod((left - gone) / left)
-    with np.errstate(divide="ignore", invalid="ignore"):  # undefined at shares of 1 and 0
-        spread = np.sqrt(np.cumsum(gone / (left * (left - gone)))) / np.abs(np.log(share))
-        low, high = (np.exp(np.log(share) * np.exp(sign * Z * spread)) for sign in (1, -1))
-    share, low, high = (np.concatenate([[1.0], curve]) for curve in (share, low, high))
+    from scipy import stats
+
+    lost = np.asarray(lost, bool)
+    curve = stats.ecdf(stats.CensoredData(uncensored=times[lost], right=times[~lost])).sf
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # undefined at shares of 1 and 0
+        band = curve.confidence_interval(LEVEL, method="log-log")
+    low = np.concatenate([[1.0], band.low.probabilities])
+    high = np.concatenate([[1.0], band.high.probabilities])
+    share = np.concatenate([[1.0], curve.probabilities])
     low[share == 1.0] = high[share == 1.0] = 1.0
     low[share == 0.0] = 0.0
     for k in np.flatnonzero(np.isnan(high)):
         high[k] = high[k - 1]
-    return Survival(np.concatenate([[0.0], end]), share, low, high)
+    return Survival(np.concatenate([[0.0], curve.quantiles]), share, low, high)
 
 
 def _bootstrap(strata: list[np.ndarray], statistic: Callable[..., np.ndarray]) -> Estimate:
-    """A statistic of several samples, each resampled for itself; percentiles of the resamples, interpolated."""
+    """A statistic of several samples, each resampled for itself."""
+    from scipy import stats
+
     strata = [values for values in strata if values.size]
     if not strata:
         return NOTHING
     value = float(statistic(*strata))
     if min(values.size for values in strata) < 2:
         return Estimate(value, math.nan, math.nan)
-    rng = np.random.default_rng(SEED)
-    drawn = [values[rng.integers(0, values.size, (RESAMPLES, values.size))] for values in strata]
-    ends = np.array([(1 - LEVEL) / 2, 1 - (1 - LEVEL) / 2])
-    place = ends * RESAMPLES + (1 - ends)  # among the resamples in their order, counted from 1
-    ordered, k, part = np.sort(statistic(*drawn)), np.floor(place).astype(int), place % 1
-    low, high = (1 - part) * ordered[k - 1] + part * ordered[k]
-    return Estimate(value, float(low), float(high))
+    how = {"n_resamples": RESAMPLES, "confidence_level": LEVEL, "method": "percentile", "vectorized": True}
+    interval = stats.bootstrap(strata, statistic, rng=np.random.default_rng(SEED), **how).confidence_interval
+    return Estimate(value, float(interval.low), float(interval.high))
 
 
-def _mean(*samples: np.ndarray) -> np.ndarray:
-    return np.mean(np.concatenate(samples, -1), -1)
+def _mean(*samples: np.ndarray, axis: int = -1) -> np.ndarray:
+    return np.mean(np.concatenate(samples, axis), axis)
 
 
-def _trimmed(*samples: np.ndarray) -> np.ndarray:
-    values = np.concatenate(samples, -1)
-    cut = values.shape[-1] // 4
-    stop = values.shape[-1] - cut
-    return np.partition(values, (cut, stop - 1), -1)[..., cut:stop].mean(-1)
+def _trimmed(*samples: np.ndarray, axis: int = -1) -> np.ndarray:
+    from scipy import stats
+
+    return stats.trim_mean(np.concatenate(samples, axis), 0.25, axis)
 
 
 @lru_cache(maxsize=8)
