@@ -60,7 +60,8 @@ gc.freeze()
 print(json.dumps([[plan.key, plan.name] for plan in chosen_plans]), flush=True)
 for line in sys.stdin:
     key, calls = json.loads(line)
-    print(sum(cases[key].call()[0] for _ in range(calls)), flush=True)
+    seconds = sum(cases[key].call()[0] for _ in range(calls))
+    print(json.dumps([seconds, calls * cases[key].steps]), flush=True)
 """
 
 
@@ -165,14 +166,15 @@ def _size(trees: Sequence[Pipes], key: str, seconds: float) -> tuple[int, int]:
     """Pairs of laps in a repetition of so many seconds a tree, at least two, and calls in a lap."""
     calls = 1
     while True:
-        spent = min(tree.ask([key, calls]) for tree in trees)
+        spent = min(tree.ask([key, calls])[0] for tree in trees)
         if spent >= LAP:
             return max(2, round(seconds / spent)), calls
         calls *= 2
 
 
 def _pair(trees: Sequence[Pipes], key: str, calls: int, n: int) -> float:
-    """The other tree's time over this tree's, for a lap of each; who begins alternates with `n`."""
+    """The other tree's time of a step over this tree's, in a lap of each; who begins alternates with `n`."""
     order = (0, 1) if n % 2 == 0 else (1, 0)
-    spent = {k: trees[k].ask([key, calls]) for k in order}
-    return spent[1] / spent[0]
+    laps = {k: trees[k].ask([key, calls]) for k in order}
+    ours, theirs = (seconds / steps for seconds, steps in (laps[0], laps[1]))
+    return theirs / ours
