@@ -1,7 +1,8 @@
-"""Draw docs/images/training.png: `python -m fovconn_env.training.evaluation.training_curves [RUN ...]`.
+"""Draw docs/images/training.png and returns.png: `python -m fovconn_env.training.evaluation.training_curves [RUN ...]`.
 
-RUN is a folder of `fovconn train`; what the picture needs of its curves is first copied to docs/results/curves/RUN.csv.
-Files of one name but for a number at the end (dagger-0, dagger-1) are training seeds, drawn in one colour.
+RUN is a folder of `fovconn train`; what the pictures need of its curves is first copied to docs/results/curves/RUN.csv,
+of a run in a folder `returns` to docs/results/curves/returns/RUN.csv. Files of one name but for a number at the end
+(dagger-0, dagger-1) are training seeds, drawn in one colour. Returns are named NETWORK-SETTING-SEED.
 """
 
 from __future__ import annotations
@@ -9,16 +10,19 @@ from __future__ import annotations
 import csv
 import re
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 import matplotlib
+import numpy as np
 from matplotlib.figure import Figure
 
 from fovconn_env.files import write_text
 from fovconn_env.render.figures import style
 
-FOLDER = Path(__file__).resolve().parents[2] / "docs" / "results" / "curves"
-PICTURE = Path(__file__).resolve().parents[2] / "docs" / "images" / "training.png"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+FOLDER, PICTURES = DOCS / "results" / "curves", DOCS / "images"
+RETURNS = FOLDER / "returns"
 PANELS = {  # name in curves.csv: title
     "score/never_disconnected": "never disconnected",
     "score/success": "success",
@@ -27,19 +31,20 @@ PANELS = {  # name in curves.csv: title
 Curves = dict[str, list[tuple[float, float]]]
 
 
-def read(file: Path) -> Curves:
-    """Points (robot steps, value) of the panels, by name."""
+def read(file: Path, names: Iterable[str] = PANELS) -> Curves:
+    """Points (robot steps, value) of the curves of these names."""
     with file.open(newline="", encoding="utf-8") as stream:
         rows = [(row["name"], float(row["step"]), float(row["value"])) for row in csv.DictReader(stream)]
-    return {panel: [(step, value) for name, step, value in rows if name == panel] for panel in PANELS}
+    return {chosen: [(step, value) for name, step, value in rows if name == chosen] for chosen in names}
 
 
 def keep(run: Path) -> None:
-    """Copy what the picture needs of a run's curves."""
+    """Copy what the pictures need of a run's curves."""
+    folder, names = (RETURNS, ("return",)) if run.parent.name == RETURNS.name else (FOLDER, PANELS)
     lines = (run / "curves.csv").read_text("utf-8").splitlines()
-    kept = [line for line in lines[1:] if line.split(",")[1] in PANELS]
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    write_text(FOLDER / f"{run.name}.csv", "\n".join([lines[0], *kept, ""]))
+    kept = [line for line in lines[1:] if line.split(",")[1] in names]
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(folder / f"{run.name}.csv", "\n".join([lines[0], *kept, ""]))
 
 
 @matplotlib.rc_context(style.RC)
@@ -70,6 +75,28 @@ def draw(runs: dict[str, Curves]) -> Figure:
     return figure
 
 
+@matplotlib.rc_context(style.RC)
+def draw_returns(runs: dict[str, Curves]) -> Figure:
+    """A panel for each network, a colour for each setting: a thin line for each seed, and their mean."""
+    networks = list(dict.fromkeys(name.partition("-")[0] for name in runs))
+    kinds = list(dict.fromkeys(_kind(name).partition("-")[2] for name in runs))
+    figure = style.sheet(7.5, 3.1)
+    panels = figure.subplots(1, len(networks), sharey=True)
+    for axes, network in zip(panels, networks, strict=True):
+        for number, kind in enumerate(kinds):
+            seeds = [np.array(curves["return"]) for name, curves in runs.items() if _kind(name) == f"{network}-{kind}"]
+            color = style.FOLLOWERS[number]
+            for points in seeds:
+                axes.plot(points[:, 0] / 1e6, points[:, 1], color=color, lw=0.8, alpha=0.5)
+            steps = max(seeds, key=len)[:, 0]  # where no flight ends, a curve has no point
+            mean = np.mean([np.interp(steps, *points.T) for points in seeds], axis=0)
+            axes.plot(steps / 1e6, mean, color=color, lw=2.0, label=kind)
+        axes.set(title=network, xlabel="million robot steps", xlim=(0.0, None))
+    panels[0].set_ylabel("mean return of the flights that ended")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(kinds))
+    return figure
+
+
 def _kind(name: str) -> str:
     return re.sub(r"-\d+$", "", name)
 
@@ -77,4 +104,6 @@ def _kind(name: str) -> str:
 if __name__ == "__main__":
     for folder in sys.argv[1:]:
         keep(Path(folder))
-    style.save(draw({file.stem: read(file) for file in sorted(FOLDER.glob("*.csv"))}), PICTURE)
+    style.save(draw({file.stem: read(file) for file in sorted(FOLDER.glob("*.csv"))}), PICTURES / "training.png")
+    returns = {file.stem: read(file, ("return",)) for file in sorted(RETURNS.glob("*.csv"))}
+    style.save(draw_returns(returns), PICTURES / "returns.png")

@@ -49,7 +49,7 @@ class Network:
 def make_model(rows: Rows, network: Network, seed: int, **settings: Any) -> PPO:
     """SB3's PPO with an `ActorCriticPolicy` of ours, not trained yet; `settings` go to PPO.
 
-    By default it has the sizes of `ppo.PPOSettings`, for a further training by SB3.
+    The defaults are for a further training by SB3 of what imitates: its first steps should not undo that.
     """
     ours = {"n_steps": 128, "batch_size": 4096, "n_epochs": 4, "gamma": 0.99, "learning_rate": 5e-4, **settings}
     collected = ours["n_steps"] * rows.num_envs

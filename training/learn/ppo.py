@@ -1,8 +1,8 @@
 """PPO (Schulman et al., 2017) with one policy for all robots: from scratch, or from a policy that can fly.
 
 rollout -> advantages -> update, written out here: the network and its optimizer are SB3's. From a trained policy
-(`start`) two things differ, so that it does not forget at once: the critic learns alone for a while, and the loss
-gets `anchor` times the Kullback-Leibler divergence to the policy of the start.
+(`start`) three things differ, so that it does not forget at once: it learns in smaller steps, the critic learns alone
+for a while, and the loss gets `anchor` times the Kullback-Leibler divergence to the policy of the start.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ class PPOSettings:
 
     n_worlds: int = positive(64, "flown at once")
     n_steps: int = positive(128, "flown in an iteration, in each world")
-    n_epochs: int = positive(4, "passes over what was flown")
-    batch: int = positive(4096, "samples of a gradient step")
-    learning_rate: float = positive(5e-4, "at the start; falls to 0 linearly")
+    n_epochs: int = positive(2, "passes over what was flown")
+    batch: int = positive(2048, "samples of a gradient step")
+    learning_rate: float = positive(2e-3, "at the start; falls to 0 linearly")
     gamma: float = fraction(0.99, "discount of a step; a step is 0.05 s: looks 5 s ahead")
     lam: float = fraction(0.95, "lambda of generalised advantage estimation")
     clip: float = positive(0.2, "greatest change of an action's probability, as a share")
@@ -57,6 +57,7 @@ class PPOSettings:
     entropy: float = non_negative(0.0, "weight of the entropy's bonus")
     max_norm: float = positive(0.5, "greatest norm of a gradient")
     reward: float = positive(0.1, "rewards are multiplied by it: an end weighs 50, a step 0.05")
+    warm: float = fraction(0.25, "with a start: share of the learning rate that is taken")
     anchor: float = non_negative(0.1, "with a start: weight of the divergence from it, falls to 0 linearly")
     anchored: float = fraction(0.5, "share of the training over which anchor falls")
     critic_first: float = fraction(0.05, "with a start: share of the training in which the critic learns alone")
@@ -101,8 +102,10 @@ class Team(Algorithm):
         network = (network or Network()).deviating(-2.0 if start else -0.7)
         law = {"base": self.base, "bound": self.bound, "filtered": filtered}
         self.rows = Rows(scenarios, s.n_worlds, reward=s.reward, n_threads=n_threads, **law)
-        sizes = {"n_steps": s.n_steps, "batch_size": s.batch, "gamma": s.gamma, "gae_lambda": s.lam}
-        model = make_model(self.rows, network, seed, learning_rate=s.learning_rate, **sizes)
+        sizes = {"n_steps": s.n_steps, "n_epochs": s.n_epochs, "batch_size": s.batch}
+        self.rate = s.learning_rate * (s.warm if start else 1.0)
+        others = {"gamma": s.gamma, "gae_lambda": s.lam, "learning_rate": self.rate}
+        model = make_model(self.rows, network, seed, **sizes, **others)
         super().__init__(model, scenarios, seed, s, network)
         self.s, self.filtered, self.start = s, filtered, start
         if start is not None:
@@ -154,7 +157,7 @@ class Team(Algorithm):
         """n_epochs over the rollout in random batches; means of the last epoch."""
         s, policy, count = self.s, self.policy, len(flown.actions)
         for group in policy.optimizer.param_groups:
-            group["lr"] = s.learning_rate * max(1.0 - share, 0.0)
+            group["lr"] = self.rate * max(1.0 - share, 0.0)
         alone = self.anchor is not None and share < s.critic_first
         pull = s.anchor * max(1.0 - share / max(s.anchored, 1e-9), 0.0) if self.anchor is not None else 0.0
         n_batches = max(count // s.batch, 1)

@@ -29,6 +29,7 @@ class ResidualSettings(PPOSettings):
     base: str = setting("cohesive", "the law to correct")
     bound: float = fraction(0.3, "greatest correction, as a share of 2.5 m/s and 1 rad/s")
     learning_rate: float = positive(1e-3, "at the start; falls to 0 linearly")
+    warm: float = fraction(1.0, "with a start: share of the learning rate that is taken")
     gamma: float = fraction(0.995, "discount of a step; a step is 0.05 s: looks 10 s ahead")
     anchor: float = non_negative(0.03, "weight of the divergence from the law, falls to 0 linearly")
     anchored: float = fraction(1.0, "share of the training over which anchor falls")
