@@ -498,7 +498,7 @@ def test_the_gradient_of_imitation_is_that_of_autograd(seen):
 
 
 def test_a_warm_start_stays_near_its_start(tmp_path):
-    """The divergence from the start is less with the anchor; the critic learns alone at first."""
+    """The divergence from the start is less with the anchor; the critic learns alone at first; steps are smaller."""
     learning.write_policy(dagger(), tmp_path, {}, ())
     file, away = tmp_path / "dagger.safetensors", {}
     for pull in (0.0, 100.0):
@@ -511,6 +511,9 @@ def test_a_warm_start_stays_near_its_start(tmp_path):
         for share in (0.3, 0.4, 0.5):
             trained.iteration += 1
             trained.iterate(share)
+        rates = [group["lr"] for group in trained.policy.optimizer.param_groups]
+        assert rates == [pytest.approx(0.5 * settings.warm * settings.learning_rate)]
+        assert settings.warm == 0.25
         rows = trained.rows.observations
         change = mean_action(trained.policy, rows) - mean_action(trained.anchor, rows)
         away[pull] = float(change.square().sum(1).mean())

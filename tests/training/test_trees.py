@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -69,6 +70,13 @@ def test_speed_is_a_ratio_for_each_repetition():
     assert json.loads(json.dumps(report))["settings"] == TINY
     assert report["versions"]["baseline"] == fovconn_env.__version__
     assert {row[3] for row in bar_table(report)[1]} == {f"≥ {LEAST}"}
+
+
+@pytest.mark.parametrize("n", [0, 1])
+def test_laps_are_compared_by_the_time_of_a_step(n):
+    """Trees whose settings differ do other numbers of steps in a call."""
+    ours, theirs = (SimpleNamespace(ask=lambda _, said=said: said) for said in ([2.0, 10], [3.0, 5]))
+    assert paired._pair([ours, theirs], "ppo set", 1, n) == pytest.approx((3.0 / 5) / (2.0 / 10))
 
 
 def tree(folder, version, **files):
