@@ -33,7 +33,7 @@ from fovconn_env.training.bench.trees import HERE
 from fovconn_env.training.evaluation import evaluate, summary
 from fovconn_env.training.evaluation.folders import LOCK, claimed
 from fovconn_env.training.evaluation.interruption import Interrupted
-from fovconn_env.training.learn import learning, origin
+from fovconn_env.training.learn import learning, origin, ppo
 from fovconn_env.training.learn.bc import BC, BCSettings
 from fovconn_env.training.learn.dagger import Dagger, DaggerSettings, regress
 from fovconn_env.training.learn.datasets import record, save
@@ -437,6 +437,25 @@ def test_the_gradient_of_ppo_is_that_of_autograd(kind, alone, seen):
         )
     shown = torch.stack([loss, missed.square().mean(), (before - distribution.log_prob(actions)).mean(), away])
     torch.testing.assert_close(terms, shown.detach(), atol=1e-5, rtol=1e-5)
+
+
+def test_advantages_are_normalised_over_a_batch(monkeypatch):
+    """A batch, not the parts of it that are worked on, has mean 0 and deviation 1."""
+    trained = Team([scenario(**TINY)], 0, PPOSettings(n_worlds=2, n_steps=8, batch=48, n_epochs=1), SMALL, n_threads=1)
+    flown, parts, add_gradient = trained.fly(), [], trained.add_gradient
+
+    def note(branches, part, *others):
+        parts.append(part.gain)
+        return add_gradient(branches, part, *others)
+
+    monkeypatch.setattr(trained, "add_gradient", note)
+    monkeypatch.setattr(ppo, "PART", 16)
+    trained.update(flown, np.random.default_rng(0), 0.0)
+    assert [len(part) for part in parts] == [16, 16, 16]
+    deviation, mean = torch.std_mean(torch.cat(parts))
+    assert float(mean) == pytest.approx(0.0, abs=1e-5)
+    assert float(deviation) == pytest.approx(1.0, abs=1e-3)
+    assert max(abs(float(part.mean())) for part in parts) > 1e-3
 
 
 def test_advantages_are_those_of_sb3():
