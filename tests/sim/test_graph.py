@@ -249,3 +249,18 @@ def test_a_kept_graph_is_the_callers():
         array[...] = 7
     np.testing.assert_array_equal(env.simulator.observations, seen)
     assert_same(env.graph(), kept)
+
+
+def test_links_that_end_long_before_the_step_does_have_no_weight():
+    """A step of three seconds: they are forgotten on board, and still among the contacts when weights are noted."""
+    simulator = Simulator(scenario(n_agents=4, clock={"ticks": 300}, warmup=0.5), 16)
+    simulator.reset(0)
+    rng, lost = np.random.default_rng(0), 0
+    for _ in range(4):
+        before = simulator.state.pair["weight"].copy()
+        simulator.step(rng.uniform(-1.0, 1.0, (16, 4, 4)))
+        pair = simulator.state.pair
+        unseen = ~(pair["seen"] | pair["seen"].swapaxes(1, 2))
+        np.testing.assert_array_equal(pair["weight"][unseen], 0.0)
+        lost += int((before[unseen] > 0.0).sum())
+    assert lost > 20
