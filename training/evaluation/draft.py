@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib.util
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -53,6 +54,8 @@ class Draft:
         from fovconn_env.training.evaluation.pictures import draw
         from fovconn_env.training.evaluation.report import PLOTS, names_on
 
+        if not gc.get_freeze_count():
+            gc.freeze()  # what is loaded by now stays: it is not walked again for the rubbish that figures leave
         (scenario,) = comparison.scenarios
         comparison = comparison._replace(policies=list(self._kinds))  # each has its colour in all pictures
         names = names_on(comparison, Record("eval", [], self._kinds, []), scenario)
