@@ -11,6 +11,7 @@ from fovconn_env.errors import SettingError
 from fovconn_env.kernel.records import FAULT
 from fovconn_env.maps import forest as forest_module
 from fovconn_env.sim import starts
+from tests.fuzzing import count
 from tests.helpers import differing, small, snapshot
 from tests.maps.test_maps import inside_by_even_odd, star
 
@@ -198,11 +199,13 @@ def test_starts_keep_their_distances():
     assert sum(found) >= 120
 
 
+@pytest.mark.fuzz
 @pytest.mark.slow
-def test_ten_thousand_starts_keep_their_distances():
-    """Five of each of two thousand scenarios."""
-    found = [check(seed, draws=5) for seed in range(2_000)]
-    assert sum(found) >= 9_000
+def test_starts_of_two_thousand_scenarios_keep_their_distances():
+    """In `make fuzz` five of each: what a start is like depends on its scenario most of all."""
+    draws = count(1, 5)
+    found = [check(seed, draws) for seed in range(2_000)]
+    assert sum(found) >= 1_800 * draws
 
 
 @pytest.mark.parametrize(
