@@ -6,7 +6,9 @@ Robot i's yaw frame is R_i = Rz(yaw_i); "camera", "yaw", "power" and "gains" are
 
 from __future__ import annotations
 
+import functools
 import itertools
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -26,11 +28,24 @@ class Pose(NamedTuple):
     pitch: float = 0.0
 
 
+def remembered(function):
+    """Its arrays are made once for the same arguments, which a team mostly has again; they are read-only."""
+
+    def make(*arguments):
+        result = function(*arguments)
+        result.flags.writeable = False
+        return result
+
+    return functools.wraps(function)(functools.lru_cache(4096)(make))
+
+
+@remembered
 def Rz(angle):
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
+@remembered
 def tilt(roll, pitch):
     """Ry(pitch) Rx(roll): body frame to yaw frame."""
     c, s = np.cos(pitch), np.sin(pitch)
@@ -94,6 +109,7 @@ def view_slope(f_ji, kind):
     return {"union": 1.0 - f_ji, "product": f_ji, "omni": 0.0}[kind]
 
 
+@remembered
 def axis(camera):
     """o_C, unit."""
     o = np.array(camera.optical_axis)
@@ -108,21 +124,29 @@ def relative(i: Pose, j: Pose):
 def cosine(i: Pose, j: Pose, camera):
     """a_ij: the bearing against the optical axis, which tilts with the body."""
     p_ij = relative(i, j)
-    return axis(camera) @ tilt(i.roll, i.pitch).T @ p_ij / np.linalg.norm(p_ij)
+    return axis(camera) @ tilt(i.roll, i.pitch).T @ p_ij / length(p_ij)
+
+
+def length(v):
+    return math.sqrt(v @ v)
+
+
+def sees(d, a, camera):
+    """Is there any sight: f* > 0 of a cosine a, and gamma > 0 of a distance d."""
+    return bool(camera.d_min < d < camera.d_max and a > camera.a_min)
 
 
 def watches(i: Pose, j: Pose, camera):
     """Does i see j: f*_ij > 0 and gamma_ij > 0."""
-    d = np.linalg.norm(j.p - i.p)
-    return bool(camera.d_min < d < camera.d_max and cosine(i, j, camera) > camera.a_min)
+    return sees(length(j.p - i.p), cosine(i, j, camera), camera)
 
 
 def weight(i: Pose, j: Pose, camera, kind="union"):
     """A_ij (6) of two robots; without any sight there is no link, whatever the kind."""
-    if not (watches(i, j, camera) or watches(j, i, camera)):
+    d, a_ij, a_ji = length(j.p - i.p), cosine(i, j, camera), cosine(j, i, camera)
+    if not (sees(d, a_ij, camera) or sees(d, a_ji, camera)):
         return 0.0
-    f_ij, f_ji = f_star(cosine(i, j, camera), camera), f_star(cosine(j, i, camera), camera)
-    return float(gamma(np.linalg.norm(j.p - i.p), camera) * view(f_ij, f_ji, kind))
+    return float(gamma(d, camera) * view(f_star(a_ij, camera), f_star(a_ji, camera), kind))
 
 
 def weights(team, camera, kind="union"):
