@@ -67,6 +67,13 @@ def warm(fork_server):
 
 
 @pytest.fixture
+def undrawn(monkeypatch):
+    """Evaluations leave numbers alone, as without matplotlib: half of the time of a test that reads nothing else."""
+    for module in ("draft", "results"):
+        monkeypatch.setattr(f"fovconn_env.training.evaluation.{module}.can_draw", lambda: False)
+
+
+@pytest.fixture
 def fovconn(warm, monkeypatch, capsys, tmp_path):
     """Run the command in this process: status, stdout, stderr."""
     from fovconn_env.training import cli  # not at the top: the libraries' environments have no rich

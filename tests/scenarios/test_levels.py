@@ -82,7 +82,7 @@ def test_no_such_level(base, level, message):
         scenario(base, level=level)
 
 
-def test_the_command_takes_a_level(fovconn):
+def test_the_command_takes_a_level(fovconn, undrawn):
     tiny = ("--seeds", "0-1", "--set", "max_cycles=3", "--set", "warmup=0.1", "--out", "flown")
     shown = fovconn("eval", "--scenario", "YawTrap-v0", "--set", "level=3", *tiny)
     assert shown.status == 0

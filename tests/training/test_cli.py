@@ -150,16 +150,16 @@ def test_flights_are_not_replaced_without_a_word(fovconn, words, name):
     check_new("--record", [file], fresh=True)
 
 
-@pytest.mark.parametrize("columns, brackets", [("200", True), ("72", False)])
-def test_tables_fit_the_terminal(columns, brackets, fovconn, tmp_path):
+def test_tables_fit_the_terminal(fovconn, undrawn, tmp_path):
     """A narrow one gets the numbers without their intervals, not cut off."""
     words = ["eval", "--policy", "expert", "--policy", "zero", "--seeds", "0-1", *TINY, "--out", str(tmp_path)]
-    assert fovconn(*words).status == 0  # so that the process below has nothing to fly
-    variables = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": columns}
-    command = [sys.executable, "-m", "fovconn_env.training.cli", *words]
-    task = subprocess.run(command, env=variables, capture_output=True, text=True, check=True)
-    assert ("[" in task.stdout.splitlines()[3]) == brackets
-    assert "…" not in task.stdout
+    assert fovconn(*words).status == 0  # so that the processes below have nothing to fly
+    for columns, brackets in (("200", True), ("72", False)):
+        variables = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": columns}
+        command = [sys.executable, "-m", "fovconn_env.training.cli", *words]
+        task = subprocess.run(command, env=variables, capture_output=True, text=True, check=True)
+        assert ("[" in task.stdout.splitlines()[3]) == brackets
+        assert "…" not in task.stdout
 
 
 def test_intervals_are_wilsons():
@@ -179,7 +179,7 @@ def test_intervals_are_wilsons():
 @pytest.mark.parametrize(
     "words", [("n_agents=4", "dynamics=quadrotor"), ("stick_speed=0.5", "lambda2=true", "max_cycles=20")]
 )
-def test_set_changes_settings(fovconn, tmp_path, words):
+def test_set_changes_settings(fovconn, undrawn, tmp_path, words):
     pairs = [word for setting in words for word in ("--set", setting)]
     shown = fovconn("eval", "--seeds", 0, *TINY, *pairs, "--out", tmp_path)
     assert shown.status == 0
@@ -188,7 +188,7 @@ def test_set_changes_settings(fovconn, tmp_path, words):
     assert record["measures"]["duration"] == pytest.approx(steps * 0.05)
 
 
-def test_the_record_tells_what_was_flown(fovconn, tmp_path):
+def test_the_record_tells_what_was_flown(fovconn, undrawn, tmp_path):
     """Two evaluations with other settings are told apart without their results."""
     told = []
     for setting in ("stick_speed=0.5", "stick_speed=1.5"):
@@ -199,7 +199,7 @@ def test_the_record_tells_what_was_flown(fovconn, tmp_path):
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_set_changes_single_settings_of_groups(fovconn, tmp_path, order):
+def test_set_changes_single_settings_of_groups(fovconn, undrawn, tmp_path, order):
     """Together, so that what is valid in the end may be told in any order."""
     settings = ["camera.d_min=3.5", "camera.D1=5.0", "course.settle=0.0"][::order]
     pairs = [word for setting in settings for word in ("--set", setting)]

@@ -148,7 +148,7 @@ def test_bad_words_end_with_one_clear_line(fovconn, words, message):
     assert {file.name for file in Path().iterdir()} == {"broken.json", "drawn", "fine.json"}
 
 
-def test_eval_flies_on_a_map_from_a_file(fovconn):
+def test_eval_flies_on_a_map_from_a_file(fovconn, undrawn):
     GROUND.to_file("ground.json")
     words = ("eval", "--seeds", "0-1", *TINY, "--processes", 1, "--out", "here")
     shown = fovconn(*words, "--set", "map=ground.json", "--set", "start.clearance=0.5")

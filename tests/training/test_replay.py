@@ -64,7 +64,7 @@ def test_demo_records_the_flight_it_shows(fovconn):
     assert "100%" in again.err  # the progress bar
 
 
-def test_eval_records_every_flight(fovconn, tmp_path):
+def test_eval_records_every_flight(fovconn, undrawn, tmp_path):
     words = ("--policy", "expert", "--policy", "omni", "--scenario", "Regroup-v0", "--seeds", "4-5", *TINY)
     shown = fovconn("eval", *words, "--processes", 1, "--record", "flights", "--json", "short.json")
     assert shown.status == 0, shown.err
@@ -84,7 +84,7 @@ def test_eval_records_every_flight(fovconn, tmp_path):
             np.testing.assert_array_equal(again.episodes[key], values)
 
 
-def test_recorded_sticks_lead_on_the_command_line(fovconn, file):
+def test_recorded_sticks_lead_on_the_command_line(fovconn, undrawn, file):
     leader = ("--set", f"leader={file}", "--set", "course.settle=0")
     assert fovconn("eval", "--seeds", 0, *TINY, "--processes", 1, *leader).status == 0
 
