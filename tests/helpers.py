@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numba.core import config
@@ -93,27 +95,56 @@ def contents(record_or_array) -> dict[str, bytes]:
     return {name: np.ascontiguousarray(array[name]).tobytes() for name in array.dtype.names}
 
 
-def snapshot(simulator: Simulator, b: int) -> dict[str, bytes]:
+class Snapshot(Mapping):
+    """Fields of several arrays as bytes, by `array.field`; an array is taken apart when its fields are asked for."""
+
+    def __init__(self, parts: dict[str, np.ndarray]):
+        self.whole = {name: (array.dtype, array.tobytes()) for name, array in parts.items()}
+
+    def part(self, part: str) -> dict[str, bytes]:
+        dtype, data = self.whole[part]
+        return {f"{part}.{name}": field for name, field in contents(np.frombuffer(data, dtype)).items()}
+
+    @functools.cached_property
+    def fields(self) -> dict[str, bytes]:
+        return {name: data for part in self.whole for name, data in self.part(part).items()}
+
+    def __getitem__(self, name):
+        return self.fields[name]
+
+    def __iter__(self):
+        return iter(self.fields)
+
+    def __len__(self):
+        return len(self.fields)
+
+
+def snapshot(simulator: Simulator, b: int) -> Snapshot:
     """Every field of the state, and of what is used of the world, of world b."""
-    parts = {name: contents(array[b]) for name, array in simulator.state.arrays().items()}
-    world = simulator.world
+    return Snapshot({name: array[b] for name, array in simulator.state.arrays().items()} | used(simulator.world, b))
+
+
+def used(world, b: int) -> dict[str, np.ndarray]:
+    """What is used of world b."""
     piece = world.piece[b][world.piece[b]["count"] > 0]
     corners = int((piece["first"] + piece["count"]).max(initial=0))
-    parts |= {"piece": contents(piece), "vertex": contents(world.vertex[b, :corners])}
-    parts |= {"waypoint": contents(world.waypoint[b]), "n_waypoints": contents(world.n_waypoints[b])}
-    parts |= {"fault": contents(world.fault[b])}
-    return {f"{part}.{name}": data for part, fields in parts.items() for name, data in fields.items()}
+    parts = {"piece": piece, "vertex": world.vertex[b, :corners]}
+    return parts | {"waypoint": world.waypoint[b], "n_waypoints": world.n_waypoints[b], "fault": world.fault[b]}
 
 
-def differing(a: dict[str, bytes], b: dict[str, bytes]) -> list[str]:
+def differing(a: Mapping[str, bytes], b: Mapping[str, bytes]) -> list[str]:
     """Names of the entries of two snapshots that differ."""
+    if isinstance(a, Snapshot) and isinstance(b, Snapshot) and a.whole.keys() == b.whole.keys():
+        others = [part for part in a.whole if a.whole[part] != b.whole[part]]  # at least between their fields
+        a, b = ({name: data for part in others for name, data in one.part(part).items()} for one in (a, b))
     return sorted(name for name in a.keys() | b.keys() if a.get(name) != b.get(name))
 
 
 def digest(simulator: Simulator) -> str:
-    """Hash of all worlds' snapshots."""
+    """Hash of what is in all worlds' snapshots."""
     total = hashlib.sha256()
-    for b in range(simulator.n_worlds):
-        for name, data in sorted(snapshot(simulator, b).items()):
+    parts = [simulator.state.arrays(), *(used(simulator.world, b) for b in range(simulator.n_worlds))]
+    for part in parts:
+        for name, data in sorted(Snapshot(part).fields.items()):
             total.update(name.encode() + data)
     return total.hexdigest()
