@@ -114,14 +114,27 @@ def factorise(a, shift, size, factor, pivots):
     """
     n, negative = a.shape[0], 0
     for i in range(n):
-        entries, row = a[i], factor[i]
-        for j in range(0, i - 1, 2):  # two sums at a time: neither waits for the other
+        entries, row, done = a[i], factor[i], i // 4 * 4
+        for j in range(0, done, 4):  # four sums at a time: none waits for another
+            left, right, third, fourth = factor[j], factor[j + 1], factor[j + 2], factor[j + 3]
+            s0, s1, s2, s3 = entries[j], entries[j + 1], entries[j + 2], entries[j + 3]
+            for k in range(j):
+                share = row[k]
+                s0 -= share * left[k]
+                s1 -= share * right[k]
+                s2 -= share * third[k]
+                s3 -= share * fourth[k]
+            s1 -= s0 * right[j]
+            s2 = s2 - s0 * third[j] - s1 * third[j + 1]
+            s3 = s3 - s0 * fourth[j] - s1 * fourth[j + 1] - s2 * fourth[j + 2]
+            row[j], row[j + 1], row[j + 2], row[j + 3] = s0, s1, s2, s3  # L_ij D_j for now
+        for j in range(done, i - 1, 2):
             left, right = factor[j], factor[j + 1]
             first, second = entries[j], entries[j + 1]
             for k in range(j):
                 first -= row[k] * left[k]
                 second -= row[k] * right[k]
-            row[j], row[j + 1] = first, second - first * right[j]  # L_ij D_j for now
+            row[j], row[j + 1] = first, second - first * right[j]
         if i % 2 == 1:
             last, total = factor[i - 1], entries[i - 1]
             for k in range(i - 1):
@@ -144,13 +157,16 @@ def divide(factor, pivots, y):
     """Solve L D L' x = y in place, and make the solution a unit vector."""
     n, square = y.shape[0], 0.0
     for i in range(n):
+        total, row = y[i], factor[i]
         for k in range(i):
-            y[i] -= factor[i, k] * y[k]
+            total -= row[k] * y[k]
+        y[i] = total
     for i in range(n - 1, -1, -1):
-        y[i] /= pivots[i]
+        total = y[i] / pivots[i]
         for k in range(i + 1, n):
-            y[i] -= factor[k, i] * y[k]
-        square += y[i] * y[i]
+            total -= factor[k, i] * y[k]
+        y[i] = total
+        square += total * total
     scale = 1.0 / math.sqrt(square)
     for i in range(n):
         y[i] *= scale
