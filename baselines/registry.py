@@ -14,8 +14,8 @@ from fovconn_env.baselines.laws.ablations import AllSeeing, BothLook, Flooding, 
 from fovconn_env.baselines.laws.augmented import Augmented
 from fovconn_env.baselines.laws.cohesive import Cohesive
 from fovconn_env.baselines.laws.expert import Expert
+from fovconn_env.baselines.laws.filters import Filtered, filtered, split_name
 from fovconn_env.baselines.laws.recovery import Recovery
-from fovconn_env.baselines.laws.safety import PREFIX, Safe, safe
 from fovconn_env.baselines.laws.simple import Follow, Random, Springs, Zero
 from fovconn_env.baselines.learned.cards import FOLDER, SUFFIX
 from fovconn_env.baselines.learned.policy import Learned, from_file
@@ -53,18 +53,18 @@ def find_policy(name: Named) -> type[Policy]:
     """The class of a policy in `POLICIES`, or of your own: "file.py:Class", "package.module:Class", "file.safetensors".
 
     In the place of a class may stand a function that maps flat observations (R, D) to actions (R, 4). The name may be
-    left out where a file defines one policy alone, or a function `act`. "safe:" before any of these puts the safety
-    filter (`safety`) on it. A class or a function itself is taken as well, and a path. Raises `SettingError` for an
-    unknown name, a missing file or class, and `PolicyError` for code that does not load.
+    left out where a file defines one policy alone, or a function `act`. A filter's name before any of these, as in
+    "lambda2-cbf:follow", puts the filter on it. A class or a function itself is taken as well, and a path. Raises
+    `SettingError` for an unknown name, a missing file or class, and `PolicyError` for code that does not load.
     """
     if not isinstance(name, (str, os.PathLike)):
         return _kind(name, "policy", name)
     name = os.fspath(name)
     if name in POLICIES:
         return POLICIES[name]
-    if name.startswith(PREFIX):
-        inner = name.removeprefix(PREFIX)
-        return safe(find_policy(inner), inner if inner in POLICIES else None)
+    filter, inner = split_name(name)
+    if filter is not None:
+        return filtered(filter, find_policy(inner), inner if inner in POLICIES else None)
     if name.endswith(SUFFIX):
         _check_file(name, name)
         return from_file(Path(name))
@@ -96,7 +96,7 @@ def source_files(kind: type[Policy]) -> list[Path]:
         files += files_of(each.__module__)
     if issubclass(kind, Learned) and hasattr(kind, "file"):
         files += [kind.file, kind.file.with_suffix(".json")]
-    if issubclass(kind, Safe):
+    if issubclass(kind, Filtered):
         files += source_files(kind.inner)
     if issubclass(kind, FunctionPolicy):
         (function,) = kind.original

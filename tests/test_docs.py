@@ -95,7 +95,8 @@ def test_commands_parse(arguments):
     command = typer_main.get_command(app).commands[arguments[0]]
     values = command.make_context(arguments[0], arguments[1:]).params
     policies = values.get("policies") or [values.get("policy") or "expert"]
-    yours = re.compile(r"my_policy\.py(:\w+)?|(safe:)?out/(\w+)/\3\.safetensors")  # written or trained by the reader
+    # written or trained by the reader
+    yours = re.compile(r"my_policy\.py(:\w+)?|(lambda2-cbf:)?out/(\w+)/\3\.safetensors")
     assert all(policy in POLICIES or yours.fullmatch(policy) for policy in policies)
     names = values.get("scenario_names") or [values.get("scenario_name") or "LeaderFollow-v0"]
     if values.get("suite_name"):

@@ -225,8 +225,8 @@ def test_a_path_is_a_policy(tmp_path, monkeypatch):
         assert issubclass(kind, Learned)
         assert label(name) == kind.__name__ == "mine"
     assert load_policy("mine.safetensors", small()).card.network == "set"
-    assert label("safe:mine.safetensors") == "safe-mine"
-    assert label("safe:expert") == "safe-expert"
+    assert label("safe:mine.safetensors") == "lambda2-cbf-mine"
+    assert label("lambda2-cbf:expert") == label("safe:expert") == "lambda2-cbf-expert"
 
 
 def test_other_weights_are_another_policy_to_the_evaluation(tmp_path):

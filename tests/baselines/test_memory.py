@@ -11,7 +11,7 @@ import pytest
 
 from fovconn_env import Map, Simulator, env, parallel_env, scenario
 from fovconn_env.baselines import POLICIES, Policy, find_policy, load_policy
-from fovconn_env.baselines.laws.safety import safe
+from fovconn_env.baselines.laws.filters import filtered
 from tests.helpers import recorded_actions, small
 
 LOSSY = scenario("LossyRadio-v0", level=4, max_cycles=60)  # robots get lost from the first steps on
@@ -60,12 +60,12 @@ def documented():
 
 REMEMBER = {
     "recovery": "recovery",
-    "safe": "safe:recovery",
+    "filtered": "lambda2-cbf:recovery",
     "own": Smooth,
-    "own safe": safe(Smooth),
+    "own filtered": filtered("lambda2-cbf", Smooth),
     "number": Counting,
 }
-ALL = {**{name: name for name in (*POLICIES, "safe:dagger", "safe:springs")}, **REMEMBER}
+ALL = {**{name: name for name in (*POLICIES, "lambda2-cbf:dagger", "lambda2-cbf:springs")}, **REMEMBER}
 
 
 def equipped(policy, base=LOSSY):
@@ -268,7 +268,7 @@ HIDDEN = {
 def test_a_memory_that_is_not_declared_is_noticed(how):
     kind, chosen = type("Hiding", (Hidden,), {"keep": HIDDEN[how]}), small()
     row, name = np.zeros(chosen.observation_size), how.partition(" ")[0]
-    for each in (kind, safe(kind)):
+    for each in (kind, filtered("lambda2-cbf", kind)):
         with pytest.raises(ValueError, match=rf"\.{name} must stay as it is in decide, got .*: is it a memory\?"):
             each(chosen).act(row)
         policy = each(chosen)
@@ -379,14 +379,17 @@ def test_robots_called_by_name_survive_a_copy(course):
 
 
 def test_a_policy_of_a_map_is_copied(course):
-    policy = load_policy("safe:recovery", scenario(LOSSY, map=Map().circle((3.0, 3.0), 1.0)))
+    policy = load_policy("lambda2-cbf:recovery", scenario(LOSSY, map=Map().circle((3.0, 3.0), 1.0)))
     for twin in [make(policy) for make in TWINS.values()]:
         assert twin.scenario == policy.scenario
 
 
 def test_a_spawned_process_flies_the_same(course):
     """Every kind that pickle treats differently: by hand, learned, filtered, of this test."""
-    pilots = [load_policy(policy, LOSSY) for policy in ("recovery", "dagger", "safe:residual", safe(Smooth))]
+    pilots = [
+        load_policy(policy, LOSSY)
+        for policy in ("recovery", "dagger", "lambda2-cbf:residual", filtered("lambda2-cbf", Smooth))
+    ]
     context = multiprocessing.get_context("spawn")
     with context.Pool(1) as pool:
         flights = pool.starmap(fly_pickled, [(pickle.dumps(pilot), course) for pilot in pilots])

@@ -16,7 +16,8 @@ from fovconn_env.baselines import Gains
 from fovconn_env.baselines.laws.augmented import Augmented, AugmentedGains
 from fovconn_env.baselines.laws.cohesive import Cohesive, CohesiveGains
 from fovconn_env.baselines.laws.expert import Expert
-from fovconn_env.baselines.laws.safety import Barrier, safe
+from fovconn_env.baselines.laws.filters import filtered
+from fovconn_env.baselines.laws.lambda2_cbf import Barrier
 from fovconn_env.bounds import Bounds
 from fovconn_env.errors import SettingError, SettingTypeError
 from fovconn_env.scenarios.presets import LEVELS, PRESETS
@@ -319,7 +320,9 @@ def test_gains_at_their_ends_give_actions(kind):
                 gains = kind(**{field.name: end})
             except SettingError:  # not in order with the others
                 continue
-            policy = policies[kind](chosen, gains) if kind in policies else safe(Expert)(chosen, gains)
+            policy = (
+                policies[kind](chosen, gains) if kind in policies else filtered("lambda2-cbf", Expert)(chosen, gains)
+            )
             for _ in range(3):
                 actions = np.asarray(policy.act(simulator.observations))
                 assert (abs(actions) <= 1.0).all(), gains

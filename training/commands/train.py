@@ -60,7 +60,7 @@ Scores = Annotated[int, typer.Option(help="How often the policy is scored, and a
 Start = Annotated[
     str | None, typer.Option("--start", help=f"Policy to go on from: a file.safetensors, or one of: {SHIPPED}.")
 ]
-Filtered = Annotated[bool, typer.Option("--safe", help="Train with the safety filter on what is flown.")]
+Filtered = Annotated[bool, typer.Option("--safe", help="Train with lambda2-cbf on what is flown.")]
 
 
 Data = Annotated[list[Path], typer.Option("--data", help="File of `fovconn train record`; repeatable.")]

@@ -13,7 +13,7 @@ import numpy as np
 
 from fovconn_env import PRESETS, scenario
 from fovconn_env.baselines import POLICIES
-from fovconn_env.baselines.laws.safety import PREFIX
+from fovconn_env.baselines.laws.filters import split_name
 from fovconn_env.training.evaluation import ablations, learned, levels
 from fovconn_env.training.evaluation.campaign import DEV_SEEDS
 from fovconn_env.training.evaluation.flights import SHARES, evaluate
@@ -136,7 +136,7 @@ def _bars_of_reward(record: Record) -> Claims:
 
 def _is_ours(policy: str) -> bool:
     """Whether a name is one of ours: the name of a file of code, from a file of results, is not run."""
-    return policy.removeprefix(PREFIX) in POLICIES
+    return split_name(policy)[1] in POLICIES
 
 
 def _value(result: Result, measure: str) -> float:

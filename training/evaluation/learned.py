@@ -12,7 +12,7 @@ from fovconn_env.training.evaluation.study import Settings, Study, Task
 class Row(NamedTuple):
     """A policy beside another one on the same seeds of a task."""
 
-    policy: str  # a name, or one behind "safe:"
+    policy: str  # a name, or one behind a filter
     against: str
     scenario: str
     settings: Settings = ()
@@ -28,7 +28,7 @@ ROWS = {
     "everywhere": [Row("residual", "augmented", name) for name in PRESETS]
     + [Row(policy, "augmented", name, level) for name, level in LEVELS for policy in ("cohesive", "residual")],
     "laws": [Row("residual", "cohesive", name) for name in PRESETS],
-    "filter": [Row(f"safe:{policy}", policy, FOLLOW) for policy in LEARNED],
+    "filter": [Row(f"lambda2-cbf:{policy}", policy, FOLLOW) for policy in LEARNED],
 }
 
 

@@ -25,7 +25,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from torch.utils.tensorboard import SummaryWriter
 
 from fovconn_env import Scenario
-from fovconn_env.baselines.laws.safety import safe
+from fovconn_env.baselines.laws.filters import filtered
 from fovconn_env.baselines.learned.cards import SUFFIX, write
 from fovconn_env.baselines.learned.policy import from_file
 from fovconn_env.errors import SettingError, rule
@@ -67,7 +67,7 @@ class Algorithm(ABC):
     name: ClassVar[str]
     base: str | None = None  # law that the network corrects
     bound: float = 0.0
-    filtered: bool = False  # by the safety filter, in training and when it is scored
+    filtered: bool = False  # by the barrier on lambda2, in training and when it is scored
 
     def __init__(self, model: PPO, scenarios: Sequence[Scenario], seed: int, settings: Any, network: Network) -> None:
         self.model, self.scenarios, self.seed, self.settings, self.network = model, scenarios, seed, settings, network
@@ -291,7 +291,7 @@ def score(algorithm: Algorithm, seeds: Sequence[int]) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(torch.get_num_threads()) as pool:
         trial = Path(folder, f"trial{SUFFIX}")
         write_policy(algorithm, Path(folder), {}, (), file=trial)
-        flier = safe(from_file(trial)) if algorithm.filtered else from_file(trial)
+        flier = filtered("lambda2-cbf", from_file(trial)) if algorithm.filtered else from_file(trial)
         evaluations = pool.map(lambda task: evaluate(flier, task, seeds), tasks)  # kernels leave the GIL
         flown = dict(zip(tasks, evaluations, strict=True))
     results = [summary(flown[scenario]) for scenario in algorithm.scenarios]

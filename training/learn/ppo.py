@@ -83,7 +83,7 @@ class Samples(NamedTuple):
 
 
 class Team(Algorithm):
-    """See the module. `filtered`: the safety filter is on while it trains."""
+    """See the module. `filtered`: the barrier on lambda2 is on while it trains."""
 
     name = "ppo"
 

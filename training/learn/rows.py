@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium import spaces
 
 from fovconn_env import Scenario, Simulator
-from fovconn_env.baselines.laws.safety import Filter
+from fovconn_env.baselines.laws.lambda2_cbf import Lambda2Cbf
 from fovconn_env.baselines.learned.cards import BASES
 from fovconn_env.baselines.learned.inputs import ACTION, gain
 from fovconn_env.baselines.learned.policy import correct_actions
@@ -29,8 +29,8 @@ class Rows(RobotsVecEnv):
 
     Actions are in units of `inputs.gain`: the same number is the same velocity in every scenario. With a base law, its
     actions are columns more of an observation, and an action is a correction of at most `bound` (`correct_actions`).
-    `filtered` puts the safety filter on what is flown; rewards are multiplied by `reward`. An episode that ends leaves
-    its outcome in `ended`.
+    `filtered` puts the barrier on lambda2 on what is flown; rewards are multiplied by `reward`. An episode that ends
+    leaves its outcome in `ended`.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Rows(RobotsVecEnv):
         self.gains = [gain(scenario) for scenario in scenarios]
         self.reward, self.bound, self.extra = reward, bound, ACTION if base else 0
         self._bases = [BASES[base](scenario) for scenario in scenarios] if base else []
-        self._filters = [Filter(scenario) for scenario in scenarios] if filtered else []
+        self._filters = [Lambda2Cbf(scenario) for scenario in scenarios] if filtered else []
         self.ended: list[dict[str, float]] = []
         self._seed = 0
         n_rows, seen = self.num_envs, self.observation_space

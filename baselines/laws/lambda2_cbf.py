@@ -1,4 +1,4 @@
-"""A safety filter for any policy: the smallest change of its action that keeps lambda2 above a bound.
+"""A barrier on lambda2 for any policy: the smallest change of its action that keeps lambda2 above a bound.
 
 Closed form, from local estimates. With g_i = dlambda2/d(p_i, yaw_i) in the robot's own frame, see
 `expert.descend_potential`, lambda2 changes by sum_i g_i . u_i when the robots move with u_i = (velocity, yaw rate). It
@@ -18,21 +18,17 @@ limit is active, that is u + g' max(0, lack) / (g . g'), g' = g in units of the 
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from fovconn_env.baselines.laws.expert import descend_potential
-from fovconn_env.baselines.policy import Policy, make_class
 from fovconn_env.bounds import check_numbers, number, settings_group
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.world.kinematics import saturate
 from fovconn_env.layout import rows
 from fovconn_env.scenarios.scenario import Scenario
 
-PREFIX = "safe:"
 _GROWTHS, _BISECTIONS = 20, 60  # steps by a factor of 4, then of bisection: to the last bit
 
 
@@ -50,44 +46,8 @@ class Barrier:
         check_numbers(self)
 
 
-class Safe(Policy):
-    """A policy with the safety filter of this module; a subclass names the policy, see `safe`."""
-
-    inner: type[Policy]
-
-    def __init__(self, scenario: Scenario, barrier: Barrier | None = None) -> None:
-        super().__init__(scenario)
-        self.policy = self.inner(scenario)
-        self.filter = Filter(scenario, barrier)
-
-    @classmethod
-    def tag(cls) -> str:
-        """The tag of the filtered policy."""
-        return cls.inner.tag()
-
-    def decide(self, flat: np.ndarray) -> np.ndarray:
-        """Actions (R, 4) for flat observations (R, D)."""
-        return self.filter(flat, self.policy.decide(flat))
-
-    def reset(self, mask: npt.ArrayLike | None = None) -> None:
-        """Reset the filtered policy."""
-        self.policy.reset(mask)
-
-
-def safe(kind: type[Policy], name: str | None = None) -> type[Safe]:
-    """A policy class with the filter around it, called `name` in tables."""
-    return _safe(kind, name or kind.__name__)
-
-
-@functools.cache  # one class, also for what was pickled
-def _safe(kind: type[Policy], name: str) -> type[Safe]:
-    fields = {"inner": kind, "overrides": kind.overrides, "oracle": kind.oracle, "has_memory": kind.has_memory}
-    fields["_trusted"], fields["__doc__"] = kind._trusted, f"{kind.__doc__} Filtered."
-    return make_class(f"safe-{name}", Safe, fields, _safe, kind, name)
-
-
-class Filter:
-    """The filter alone, for any actions: `Filter(scenario)(observations, actions)`."""
+class Lambda2Cbf:
+    """The filter: `Lambda2Cbf(scenario)(observations, actions)`."""
 
     def __init__(self, scenario: Scenario, barrier: Barrier | None = None) -> None:
         self.scenario, self.barrier = scenario, barrier or Barrier()

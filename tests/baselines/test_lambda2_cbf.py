@@ -1,4 +1,4 @@
-"""The safety filter: gradient by finite differences, projection against a general solver, and what it is worth."""
+"""The barrier on lambda2: gradient by finite differences, projection against a general solver, and what it is worth."""
 
 import math
 
@@ -9,7 +9,8 @@ from scipy.optimize import minimize
 from fovconn_env import Simulator, layout, scenario
 from fovconn_env.baselines import POLICIES, Expert, Policy, find_policy, load_policy
 from fovconn_env.baselines.laws.expert import descend_potential
-from fovconn_env.baselines.laws.safety import Barrier, Filter, Safe, nearest_safe_motion, safe
+from fovconn_env.baselines.laws.filters import Filtered, filtered
+from fovconn_env.baselines.laws.lambda2_cbf import Barrier, Lambda2Cbf, nearest_safe_motion
 from fovconn_env.baselines.laws.simple import Zero
 from fovconn_env.kernel.jit import entry
 from tests import reference as ref
@@ -143,17 +144,17 @@ def test_the_motion_keeps_the_bound_with_the_stick_in_it():
     rng, limits = np.random.default_rng(0), np.array([1.5, 1.0])
     actions = rng.uniform(-1.0, 1.0, (len(flat), 4)).astype(np.float32)
     barrier = Barrier(alpha=0.5, margin=0.3)
-    filtered = Filter(chosen, barrier)(flat, actions)
+    shielded = Lambda2Cbf(chosen, barrier)(flat, actions)
     views, g = layout.rows(flat, 8, 8), np.zeros((len(flat), 4))
     gradients(views.own, views.neighbors, chosen.params(), g)
     stick = np.stack([views.own[f"stick_{axis}"] for axis in "xyz"], axis=1)
     assert (stick != 0).any()
     changed = 0
     for r in range(len(flat)):
-        before, after = (executed(a[r].astype(float), stick[r]) for a in (actions, filtered))
+        before, after = (executed(a[r].astype(float), stick[r]) for a in (actions, shielded))
         least = -0.5 * (views.own["lambda2_hat"][r] - 0.01 - 0.3) / 4
         if g[r] @ before >= least:
-            np.testing.assert_array_equal(filtered[r], actions[r])
+            np.testing.assert_array_equal(shielded[r], actions[r])
             continue
         changed += 1
         most = limits @ [np.linalg.norm(g[r, :3]), abs(g[r, 3])]
@@ -169,16 +170,17 @@ def executed(action, stick):
 
 def test_it_wraps_any_policy():
     chosen = small()
-    kind = find_policy("safe:expert")
-    policy = load_policy("safe:expert", chosen)
-    assert isinstance(policy, Safe)
+    kind = find_policy("lambda2-cbf:expert")
+    assert find_policy("safe:expert") is kind  # its name in 0.1
+    policy = load_policy("lambda2-cbf:expert", chosen)
+    assert isinstance(policy, Filtered)
     assert isinstance(policy.policy, Expert)
-    assert kind.__name__ == "safe-expert"
+    assert kind.__name__ == "lambda2-cbf-expert"
     flat = observed(chosen, 3)
-    expected = Filter(chosen)(flat, POLICIES["expert"](chosen).decide(flat))
+    expected = Lambda2Cbf(chosen)(flat, POLICIES["expert"](chosen).decide(flat))
     np.testing.assert_array_equal(policy.decide(flat), expected)
     np.testing.assert_array_equal(policy.decide(flat[3:4]), expected[3:4])
-    oracle = find_policy("safe:oracle")
+    oracle = find_policy("lambda2-cbf:oracle")
     assert oracle.oracle
     assert oracle.equip("LeaderFollow-v0").lambda2 == "true"
 
@@ -193,7 +195,7 @@ def test_a_memory_within_is_reset():
         def reset(self, mask=None):
             heard.append(mask)
 
-    safe(Remembering)(small()).reset()
+    filtered("lambda2-cbf", Remembering)(small()).reset()
     assert heard == [None]
 
 
@@ -211,6 +213,7 @@ def test_it_keeps_teams_that_the_policy_alone_loses():
     from fovconn_env.training.evaluation import evaluate, summary
 
     chosen, seeds = scenario(max_cycles=600), range(20000, 20032)
-    alone, filtered = (summary(evaluate(kind, chosen, seeds))["never_disconnected"] for kind in (Zero, safe(Zero)))
+    kinds = Zero, filtered("lambda2-cbf", Zero)
+    alone, shielded = (summary(evaluate(kind, chosen, seeds))["never_disconnected"] for kind in kinds)
     assert alone < 0.5
-    assert filtered > alone + 0.4
+    assert shielded > alone + 0.4
