@@ -14,7 +14,7 @@ from fovconn_env.baselines.laws.ablations import AllSeeing, BothLook, Flooding, 
 from fovconn_env.baselines.laws.augmented import Augmented
 from fovconn_env.baselines.laws.cohesive import Cohesive
 from fovconn_env.baselines.laws.expert import Expert
-from fovconn_env.baselines.laws.filters import Filtered, filtered, split_name
+from fovconn_env.baselines.laws.filters import Filtered, FovCbfAugmented, filtered, split_name
 from fovconn_env.baselines.laws.recovery import Recovery
 from fovconn_env.baselines.laws.simple import Follow, Random, Springs, Zero
 from fovconn_env.baselines.learned.cards import FOLDER, SUFFIX
@@ -36,6 +36,7 @@ POLICIES: dict[str, type[Policy]] = {
     "augmented": Augmented,
     "cohesive": Cohesive,
     "recovery": Recovery,
+    "fov-cbf": FovCbfAugmented,
     "oracle": Oracle,
     "oracle-all-seeing": AllSeeing,
     **{file.stem: from_file(file) for file in sorted(FOLDER.glob(f"*{SUFFIX}"))},  # read when first made

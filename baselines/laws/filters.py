@@ -8,11 +8,13 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from fovconn_env.baselines.laws.augmented import Augmented
+from fovconn_env.baselines.laws.fov_cbf import FovCbf
 from fovconn_env.baselines.laws.lambda2_cbf import Lambda2Cbf
 from fovconn_env.baselines.policy import Policy, make_class
 from fovconn_env.scenarios.scenario import Scenario
 
-FILTERS: dict[str, Any] = {"lambda2-cbf": Lambda2Cbf}  # made from a scenario, called with observations and actions
+FILTERS: dict[str, Any] = {"lambda2-cbf": Lambda2Cbf, "fov-cbf": FovCbf}  # classes
 ALIASES = {"safe": "lambda2-cbf"}  # its name in 0.1 and 0.2
 
 
@@ -59,3 +61,10 @@ def _filtered(filter: str, kind: type[Policy], name: str) -> type[Filtered]:
     fields = {"inner": kind, "overrides": kind.overrides, "oracle": kind.oracle, "has_memory": kind.has_memory}
     fields |= {"_trusted": kind._trusted, "make_filter": FILTERS[filter], "__doc__": f"{kind.__doc__} Filtered."}
     return make_class(f"{filter}-{name}", Filtered, fields, _filtered, filter, kind, name)
+
+
+class FovCbfAugmented(Filtered):
+    """The augmented expert with barriers that keep the robots in view that it sees."""
+
+    inner, make_filter = Augmented, FovCbf
+    has_memory = False

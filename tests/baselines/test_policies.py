@@ -104,7 +104,7 @@ def test_it_flies_and_says_what_it_is(name):
 
 def test_order_of_the_table():
     names = "zero random follow springs omni both-look expert-no-yaw expert expert-flooding augmented".split()
-    names += ["cohesive", "recovery"]
+    names += ["cohesive", "recovery", "fov-cbf"]
     oracles = ["oracle", "oracle-all-seeing"]
     assert [name for name, kind in POLICIES.items() if not issubclass(kind, Learned)] == names + oracles
     assert [name for name in POLICIES if POLICIES[name].oracle] == oracles
