@@ -11,12 +11,14 @@ import pytest
 
 import fovconn_env
 from fovconn_env import scenario
+from fovconn_env.baselines import POLICIES
 from fovconn_env.training.bench import paired, trees
 from fovconn_env.training.bench.cases import FULL, Effort, plans
 from fovconn_env.training.bench.paired import GOALS, LAPS, LEAST, Ratio, compare_speed, record
 from fovconn_env.training.bench.report import bar_table
 from fovconn_env.training.bench.trees import HERE, Cell, Difference, compare, run_in, running
-from fovconn_env.training.bench.waits import COMMAND, FIRST_STEP, KEYS, Spent, Wait, compare_waits, waits
+from fovconn_env.training.bench.waits import COMMAND, FIRST_STEP, FLOWN, KEYS, Spent, Wait, compare_waits, waits
+from fovconn_env.training.evaluation.campaign import QUICK
 
 TINY = {"n_agents": 3, "warmup": 0.1, "max_cycles": 8}
 BRIEF = Effort(repetitions=3, seconds=0.0, batches=(2,), rows=2, robots=6, learn_steps=4)
@@ -133,6 +135,18 @@ def test_commands_take_turns(tmp_path, monkeypatch):
     assert told == [(k, 10) for k in range(10)]
     assert (len(set(folders[:4])), len(set(folders[4:]))) == (4, 2)
     assert not any(Path(folder).exists() for folder in folders)
+
+
+def test_an_evaluation_flies_what_both_trees_have():
+    """By name, for 0.1.0 has no other way to leave out what came later."""
+    (evaluation,) = (wait for wait in waits("LeaderFollow-v0") if wait.key == "eval")
+    words = list(evaluation.words)
+    named = {
+        option: [words[k + 1] for k, word in enumerate(words) if word == option]
+        for option in ("--policy", "--scenario")
+    }
+    assert named == {"--policy": list(FLOWN), "--scenario": list(QUICK)}
+    assert set(FLOWN) <= set(POLICIES)
 
 
 def test_processor_time_is_that_of_the_command():

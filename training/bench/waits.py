@@ -6,6 +6,7 @@ the package index from this process; a clone holds what is committed.
 
 from __future__ import annotations
 
+import itertools
 import os
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fovconn_env.training.bench.trees import check_tree
+from fovconn_env.training.evaluation.campaign import SUITES
 
 # Programs find this tree's rooms or those of 0.1.0.
 FIRST_STEP = """
@@ -38,6 +40,11 @@ except ImportError:
 if __name__ == "__main__":
     main()
 """
+# The policies that every tree since 0.1.0 has, for an evaluation of which both trees fly the same.
+FLOWN = (
+    *("zero", "random", "follow", "springs", "omni", "both-look", "expert-no-yaw", "expert", "expert-flooding"),
+    *("augmented", "cohesive", "recovery", "oracle", "oracle-all-seeing", "dagger", "ppo", "residual"),
+)
 
 
 class Wait(NamedTuple):
@@ -67,11 +74,14 @@ KEYS = ("cold", "demo", "eval", "suite")
 def waits(base: str) -> list[Wait]:
     """What can be timed, in the order of `KEYS`; base: the preset of the first step."""
     python = [sys.executable, "-P", "-c"]
-    evaluate = [*python, COMMAND, "eval", "--suite", "quick", "--out", "out"]
+    scenarios, seeds = SUITES["quick"]
+    cells = [("--policy", policy) for policy in FLOWN] + [("--scenario", scenario) for scenario in scenarios]
+    words = [*itertools.chain(*cells), "--seeds", f"{seeds[0]}-{seeds[-1]}"]
+    evaluate = [*python, COMMAND, "eval", *words, "--out", "out"]
     return [
         Wait("cold", f"first step of {base}, nothing compiled", [*python, FIRST_STEP, base]),
         Wait("demo", "make demo, fresh clone", ["make", "demo", f"PYTHON={sys.executable}"], clone=True),
-        Wait("eval", "eval --suite quick, compiled", evaluate, warm=True),
+        Wait("eval", "eval, quick suite of 0.1.0, compiled", evaluate, warm=True),
         Wait("suite", "make test, fresh clone", ["make", "test", f"PYTHON={sys.executable}"], clone=True),
     ]
 
