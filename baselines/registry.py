@@ -14,7 +14,7 @@ from fovconn_env.baselines.laws.ablations import AllSeeing, BothLook, Flooding, 
 from fovconn_env.baselines.laws.augmented import Augmented
 from fovconn_env.baselines.laws.cohesive import Cohesive
 from fovconn_env.baselines.laws.expert import Expert
-from fovconn_env.baselines.laws.filters import Filtered, FovCbfAugmented, filtered, split_name
+from fovconn_env.baselines.laws.filters import FILTERS, Filtered, FovCbfAugmented, filtered, split_name
 from fovconn_env.baselines.laws.recovery import Recovery
 from fovconn_env.baselines.laws.simple import Follow, Random, Springs, Zero
 from fovconn_env.baselines.learned.cards import FOLDER, SUFFIX
@@ -132,4 +132,6 @@ def _module(place: str, name: str) -> ModuleType:
         except ModuleNotFoundError as problem:
             if problem.name is None or not f"{place}.".startswith(f"{problem.name}."):
                 raise  # of what the module imports
-            raise SettingError(f"ModuleNotFoundError: there is no module {problem.name}") from None
+            near = difflib.get_close_matches(place, FILTERS, n=1, cutoff=0.5)
+            hint = f", nor a filter of this name: did you mean {near[0]!r}?" if near else ""
+            raise SettingError(f"ModuleNotFoundError: there is no module {problem.name}{hint}") from None

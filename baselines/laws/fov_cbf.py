@@ -46,6 +46,7 @@ from fovconn_env.scenarios.settings import LENGTH
 _SOLVED = 1  # flag of daqp
 _FREE = 1e30  # its infinity
 _PLANES = 12  # that touch the sphere of speeds, at most
+_FREE_SLACK = "at 1 a neighbour would be given up for nothing"
 _ROUND = 1e-6  # of the speed limit
 _DEAREST = 1e3  # price of a least distance, in the dearest slack's
 
@@ -60,9 +61,15 @@ class FovBarriers:
     reach: float = number(0.2, 0, 1000, "m, distance kept from d_max", LENGTH)
     gap: float = number(0.3, 0, 1000, "m, distance kept from d_min and from a collision", LENGTH)
     slack: float = number(
-        0.2, 1e-3, 1e6, "per (m/s)^2, price of a lost barrier at d_max; chosen on seeds 20000-20047", "never lost"
+        0.2,
+        1e-3,
+        1e6,
+        "per (m/s)^2, price of a lost barrier at d_max; chosen on seeds 20000-20047",
+        "dearer than all else",
     )
-    shared: float = number(0.99, 0, 0.999, "of the price, what falls away if the neighbour sees this robot", "free")
+    shared: float = number(
+        0.99, 0, 0.999, "of the price, what falls away if the neighbour sees this robot", _FREE_SLACK
+    )
 
     def __post_init__(self) -> None:
         check_numbers(self)

@@ -336,6 +336,8 @@ def test_a_file_that_is_not_there(tmp_path, monkeypatch):
         find_policy("mine.safetensors")
     with pytest.raises(ValueError, match="did you mean 'expert'"):
         find_policy("safe:expertt")
+    with pytest.raises(ValueError, match="nor a filter of this name: did you mean 'lambda2-cbf'"):
+        find_policy("lambda2cbf:expert")
 
 
 def test_scales_do_not_follow_the_scenario():

@@ -32,6 +32,7 @@ MEASURES = {
 }
 
 
+STYLE: Any = RC | {"axes.titley": 1.0}  # titles stand where they did, and no tick is measured for them
 Dashes = str | tuple[float, tuple[float, ...]]
 DASHES: tuple[Dashes, ...] = "-", (0, (5, 2)), (0, (1, 1.5))
 
@@ -59,7 +60,7 @@ def line_styles(policies: list[str]) -> dict[str, LineStyle]:
     return {policy: others.get(policy, LineStyle(LEADER, "-")) for policy in policies}
 
 
-@matplotlib.rc_context(RC | {"axes.titley": 1.0})  # as without, but no tick is measured for it
+@matplotlib.rc_context(STYLE)
 def draw(comparison: Comparison, names: Mapping[str, str], scenario: str, folder: Path) -> list[Picture]:
     """Draw all pictures of a scenario for a folder, and write none.
 
