@@ -8,7 +8,7 @@ import pytest
 from fovconn_env import layout
 from fovconn_env.kernel import records
 from fovconn_env.kernel.jit import entry
-from fovconn_env.kernel.maths import weights
+from fovconn_env.kernel.maths import spectrum, weights
 from fovconn_env.kernel.world import camera, kinematics, odometry, rangefinder
 from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios.settings import Camera, Rangefinder
@@ -254,6 +254,28 @@ def test_see_with_a_wrong_attitude():
 def random_graph(rng, n, density):
     A = np.triu(rng.random((n, n)) * (rng.random((n, n)) < density), 1)
     return A + A.T
+
+
+@entry
+def decompose(a, shift, factor, pivots, y, negative):
+    negative[0] = spectrum.factorise(a, shift, 10.0, factor, pivots)
+    spectrum.divide(factor, pivots, y)
+
+
+@pytest.mark.parametrize("n", range(2, 14))
+def test_factor_is_that_of_the_shifted_matrix(n):
+    """L D L', its signs and its solution: `fiedler` finds its value in another way where they are wrong."""
+    rng = np.random.default_rng(n)
+    a, y = rng.normal(size=(n, n)), rng.normal(size=n)
+    a, factor, pivots, negative = a + a.T, np.full((n, n), np.nan), np.full(n, np.nan), np.zeros(1)
+    shift, found = float(np.median(np.linalg.eigvalsh(a))) + 0.1, y.copy()
+    decompose(a, shift, factor, pivots, found, negative)
+    lower = np.tril(factor, -1) + np.eye(n)
+    shifted = a - shift * np.eye(n)
+    np.testing.assert_allclose(lower @ np.diag(pivots) @ lower.T, shifted, atol=1e-9)
+    assert negative[0] == (np.linalg.eigvalsh(a) < shift).sum()
+    expected = np.linalg.solve(shifted, y)
+    np.testing.assert_allclose(found, expected / np.linalg.norm(expected), atol=1e-9)
 
 
 @pytest.mark.parametrize("n", [2, 3, 4, 6, 12, 24, 48])
