@@ -184,6 +184,14 @@ def cohesion(me, neighbors, p, g):
 
 
 @kernel
+def velocity_of(row):
+    """Velocity of a neighbour whose relative yaw is known, iR_j v_j, m/s, yaw frame of the robot."""
+    c, s = np.float64(row.cos_yaw), np.float64(row.sin_yaw)
+    x, y, z = np.float64(row.vx), np.float64(row.vy), np.float64(row.vz)
+    return c * x - s * y, s * x + c * y, z
+
+
+@kernel
 def feed_forward(neighbors, g):
     """Share `forward` of the link-weighted mean velocity of the neighbours whose yaw is known, m/s, yaw frame."""
     vx = vy = vz = total = 0.0
@@ -191,9 +199,9 @@ def feed_forward(neighbors, g):
         row = neighbors[j]
         if row.present == 0.0 or row.yaw_valid == 0.0:
             continue
-        weight, c, s = np.float64(row.weight), np.float64(row.cos_yaw), np.float64(row.sin_yaw)
-        x, y, z = np.float64(row.vx), np.float64(row.vy), np.float64(row.vz)
-        vx, vy, vz = vx + weight * (c * x - s * y), vy + weight * (s * x + c * y), vz + weight * z  # iR_j v_j
+        weight = np.float64(row.weight)
+        x, y, z = velocity_of(row)
+        vx, vy, vz = vx + weight * x, vy + weight * y, vz + weight * z
         total += weight
     scale = g.forward / total if total > 0.0 else 0.0
     return scale * vx, scale * vy, scale * vz

@@ -34,16 +34,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fovconn_env.baselines.laws.expert import velocity_of
+from fovconn_env.baselines.laws.lambda2_cbf import motion_of
 from fovconn_env.baselines.laws.simple import bearing
 from fovconn_env.bounds import check_numbers, number, settings_group
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.maths.geometry import tilt
-from fovconn_env.kernel.world.kinematics import saturate
 from fovconn_env.layout import rows
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.scenarios.settings import LENGTH
 
-_SOLVED = 1  # flag of daqp
+_SOLVED, _INFEASIBLE = 1, -1  # flags of daqp
 _FREE = 1e30  # its infinity
 _PLANES = 12  # that touch the sphere of speeds, at most
 _FREE_SLACK = "at 1 a neighbour would be given up for nothing"
@@ -131,13 +132,9 @@ def write_program(own, neighbors, ranges, params, barriers, actions, program):
 @kernel
 def write_nominal(me, action, nominal, p):
     """Write D u_0: what the environment makes of an action and the stick."""
-    top = p.speed_limit + p.stick_speed
-    x = np.float64(action[0]) * top + np.float64(me.stick_x)
-    y = np.float64(action[1]) * top + np.float64(me.stick_y)
-    z = np.float64(action[2]) * top + np.float64(me.stick_z)
-    x, y, z = saturate(x, y, z, p.speed_limit)
+    x, y, z, yaw_rate = motion_of(me, action, p)
     nominal[0], nominal[1], nominal[2] = x / p.speed_limit, y / p.speed_limit, z / p.speed_limit
-    nominal[3] = min(max(np.float64(action[3]), -1.0), 1.0)
+    nominal[3] = yaw_rate / p.yaw_rate_limit
 
 
 @kernel
@@ -154,9 +151,7 @@ def write_neighbors(me, neighbors, barriers, r, program, p):
             continue
         wx = wy = wz = 0.0
         if row.yaw_valid > 0.0:
-            c, s = np.float64(row.cos_yaw), np.float64(row.sin_yaw)
-            x, y, wz = np.float64(row.vx), np.float64(row.vy), np.float64(row.vz)
-            wx, wy = c * x - s * y, s * x + c * y  # iR_j v_j
+            wx, wy, wz = velocity_of(row)
         away = b[0] * wx + b[1] * wy + b[2] * wz
         # h_c: b . (w_j - v) >= -kappa h_c
         count = write_row((-b[0], -b[1], -b[2], 0.0), -kappa * (d - near) - away, -1, r, count, program, p)
@@ -230,8 +225,10 @@ def _solve(program: Program, r: int, hard: bool) -> np.ndarray | None:
     for plane in range(_PLANES):
         m = count + plane
         x, _, flag, _ = daqp.solve(np.diag(weights), aim, matrix[:m], most[: n + m], least[: n + m])
-        if flag != _SOLVED:
+        if flag == _INFEASIBLE:
             return None
+        if flag != _SOLVED:
+            raise ArithmeticError(f"daqp must solve the program of robot {r}, got its flag {flag}: {least}")
         speed = math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
         if speed <= 1.0 + _ROUND:
             break

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fovconn_env.baselines.laws.expert import descend_potential
+from fovconn_env.baselines.laws.expert import descend_potential, stick_of
 from fovconn_env.bounds import check_numbers, number, settings_group
 from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.world.kinematics import saturate
@@ -73,18 +73,22 @@ def filter_actions(own, neighbors, params, limits, actions):
         me, action = own[r], actions[r]
         g = descend_potential(me, neighbors[r], -1.0, p)
         least = -rate * (np.float64(me.lambda2_hat) - bound)
-        sx, sy, sz = np.float64(me.stick_x), np.float64(me.stick_y), np.float64(me.stick_z)
-        vx, vy, vz = (
-            np.float64(action[0]) * top + sx,
-            np.float64(action[1]) * top + sy,
-            np.float64(action[2]) * top + sz,
-        )
-        u = limit_motion(vx, vy, vz, np.float64(action[3]) * p.yaw_rate_limit, p)
+        sx, sy, sz = stick_of(me)
+        u = motion_of(me, action, p)
         if lambda2_rate(g, u) >= least:
             continue
         vx, vy, vz, yaw_rate = nearest_safe_motion(u, g, least, p)
         action[0], action[1], action[2] = (vx - sx) / top, (vy - sy) / top, (vz - sz) / top
         action[3] = yaw_rate / p.yaw_rate_limit
+
+
+@kernel
+def motion_of(me, action, p):
+    """What the environment makes of a robot's action (4,) and its stick: velocity (m/s) and yaw rate."""
+    top = p.speed_limit + p.stick_speed
+    x, y, z = stick_of(me)
+    x, y, z = np.float64(action[0]) * top + x, np.float64(action[1]) * top + y, np.float64(action[2]) * top + z
+    return limit_motion(x, y, z, np.float64(action[3]) * p.yaw_rate_limit, p)
 
 
 @kernel

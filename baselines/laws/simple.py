@@ -11,7 +11,7 @@ from abc import abstractmethod
 
 import numpy as np
 
-from fovconn_env.baselines.laws.expert import Gains, pack, write_action
+from fovconn_env.baselines.laws.expert import Gains, pack, velocity_of, write_action
 from fovconn_env.baselines.policy import Policy
 from fovconn_env.kernel.jit import entry, formula, kernel
 from fovconn_env.kernel.maths.random import draw, uniform
@@ -133,9 +133,7 @@ def follow_springs(own, neighbors, ranges, params, gains, law, actions):
             force = add(force, spring(np.float64(row.distance), law, p), b)
             if row.yaw_valid > 0.0:
                 drag += 1.0
-                c, s = np.float64(row.cos_yaw), np.float64(row.sin_yaw)
-                x, y, z = np.float64(row.vx), np.float64(row.vy), np.float64(row.vz)
-                drift = add(drift, 1.0, (c * x - s * y, s * x + c * y, z))  # iR_j v_j
+                drift = add(drift, 1.0, velocity_of(row))
         velocity = divide(add(force, damping, drift), 1.0 + damping * drag)
         write_motion(own[r], neighbors[r, :0], ranges[r], velocity, p, g, actions[r])
         actions[r, 3] = turn_camera(known, p)

@@ -115,10 +115,10 @@ def rows_of(simulator, actions, barriers):
     return found
 
 
-def written(chosen, flat, actions, barriers=FovBarriers()):  # noqa: B008 - it is frozen
+def written(chosen, flat, actions, barriers=None):
     program = empty_program(len(flat), chosen)
     views = layout.rows(flat, chosen.max_neighbors, chosen.max_ranges)
-    values = dataclasses.astuple(barriers)
+    values = dataclasses.astuple(barriers or FovBarriers())
     write_program(*views, chosen.params(), values, np.asarray(actions, np.float32), program)
     return program
 
