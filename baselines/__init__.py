@@ -7,10 +7,12 @@ if __name__ == "baselines":  # found in a clone's root: a second copy of every c
 from fovconn_env.baselines.laws.augmented import Augmented, AugmentedGains
 from fovconn_env.baselines.laws.cohesive import Cohesive, CohesiveGains
 from fovconn_env.baselines.laws.expert import Expert, Gains
-from fovconn_env.baselines.policy import Policy
-from fovconn_env.baselines.registry import POLICIES, find_policy, load_policy, source_files
+from fovconn_env.baselines.oracles.team_oracle import TeamOracle
+from fovconn_env.baselines.policy import Pilot, Policy
+from fovconn_env.baselines.registry import ORACLES, POLICIES, find_pilot, find_policy, load_policy, source_files
 
 __all__ = [
+    "ORACLES",
     "POLICIES",
     "Augmented",
     "AugmentedGains",
@@ -18,7 +20,10 @@ __all__ = [
     "CohesiveGains",
     "Expert",
     "Gains",
+    "Pilot",
     "Policy",
+    "TeamOracle",
+    "find_pilot",
     "find_policy",
     "load_policy",
     "source_files",

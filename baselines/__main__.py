@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from fovconn_env import scenario
-from fovconn_env.baselines.registry import POLICIES
+from fovconn_env.baselines.registry import ORACLES, POLICIES, find_pilot
 from fovconn_env.flights.metrics import compile_ahead
 
 
@@ -15,9 +15,9 @@ def main() -> None:
     parser.add_argument("policy", nargs="*", default=["expert"], metavar="POLICY", help="by default expert")
     given = parser.parse_args()
     for name in given.policy:
-        if name not in POLICIES:
-            parser.error(f"POLICY must be one of {', '.join(POLICIES)}, got {name!r}")
-        compile_ahead(POLICIES[name], scenario())
+        if name not in (*POLICIES, *ORACLES):
+            parser.error(f"POLICY must be one of {', '.join([*POLICIES, *ORACLES])}, got {name!r}")
+        compile_ahead(find_pilot(name), scenario())
 
 
 if __name__ == "__main__":

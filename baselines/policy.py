@@ -1,4 +1,4 @@
-"""The base class of policies."""
+"""The base classes of what flies a team."""
 
 from __future__ import annotations
 
@@ -34,21 +34,15 @@ def _reduce_class(kind: PolicyType) -> Any:
 copyreg.pickle(PolicyType, _reduce_class)
 
 
-class Policy(metaclass=PolicyType):
-    """Maps observations of one scenario's robots to actions. Every robot runs the same policy on its own observation.
+class Pilot(metaclass=PolicyType):
+    """What flies the teams of one scenario: a `Policy`, or a `TeamOracle` (oracles/team_oracle.py).
 
-    A subclass implements `decide` and uses the observation alone. A policy that needs other equipment than the
-    scenario's, another estimator for example, lists those settings in `overrides`; `equip` applies them. A policy whose
-    robots know more than sensors and messages provide has `oracle = True`. A policy with a memory implements `reset`.
+    What needs other equipment than the scenario's, another estimator for example, lists those settings in `overrides`;
+    `equip` applies them. Where robots know more than sensors and messages provide, `oracle = True`.
     """
 
     overrides: ClassVar[Mapping[str, Any]] = {}  # settings as `fovconn_env.scenario` takes them
     oracle: ClassVar[bool] = False
-    has_memory: ClassVar[bool] = False  # becomes True in a subclass that implements `reset`
-
-    _trusted: ClassVar[bool] = True  # of this package, so that what it declares is right
-    _robots: Mapping[str, Any] = {}  # a copy of the policy for each robot called by name
-    _n_rows = 0  # rows of the stacks since the last reset; 0 before the first
 
     def __init__(self, scenario: Scenario) -> None:
         """Raises `SettingError` if the scenario does not have the settings in `overrides`."""
@@ -57,6 +51,29 @@ class Policy(metaclass=PolicyType):
             value = attrgetter(name)(scenario)
             rule(value == wanted, f"Scenario.{name}", f"{wanted!r} for {type(self).__name__}", value, hint)
         self.scenario = scenario
+
+    @classmethod
+    def equip(cls, base: str | Scenario) -> Scenario:
+        """A scenario, or the scenario of an id, with these `overrides` applied."""
+        return presets.scenario(base, **cls.overrides)
+
+    @classmethod
+    def tag(cls) -> str:
+        """A string that identifies what the pilot consists of besides settings and source code, such as weights."""
+        return ""
+
+
+class Policy(Pilot):
+    """Maps observations of one scenario's robots to actions. Every robot runs the same policy on its own observation.
+
+    A subclass implements `decide` and uses the observation alone. A policy with a memory implements `reset`.
+    """
+
+    has_memory: ClassVar[bool] = False  # becomes True in a subclass that implements `reset`
+
+    _trusted: ClassVar[bool] = True  # of this package, so that what it declares is right
+    _robots: Mapping[str, Any] = {}  # a copy of the policy for each robot called by name
+    _n_rows = 0  # rows of the stacks since the last reset; 0 before the first
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -74,16 +91,6 @@ class Policy(metaclass=PolicyType):
 
     def __copy__(self) -> Self:
         return copy.deepcopy(self)  # two policies that share a memory would disturb each other
-
-    @classmethod
-    def equip(cls, base: str | Scenario) -> Scenario:
-        """A scenario, or the scenario of an id, with this policy's `overrides` applied."""
-        return presets.scenario(base, **cls.overrides)
-
-    @classmethod
-    def tag(cls) -> str:
-        """A string that identifies what the policy consists of besides settings and source code, such as weights."""
-        return ""
 
     @abstractmethod
     def decide(self, flat: np.ndarray) -> np.ndarray:
@@ -208,7 +215,7 @@ def _with_robots(forget: Callable[..., None]) -> Callable[..., None]:
     return reset
 
 
-Kind = TypeVar("Kind", bound=Policy)
+Kind = TypeVar("Kind", bound=Pilot)
 
 
 def make_class(

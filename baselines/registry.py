@@ -19,9 +19,10 @@ from fovconn_env.baselines.laws.recovery import Recovery
 from fovconn_env.baselines.laws.simple import Follow, Random, Springs, Zero
 from fovconn_env.baselines.learned.cards import FOLDER, SUFFIX
 from fovconn_env.baselines.learned.policy import Learned, from_file
+from fovconn_env.baselines.oracles.team_oracle import TeamOracle
 from fovconn_env.baselines.own import files_of, load_file, load_module
-from fovconn_env.baselines.policy import Policy, scenario_of
-from fovconn_env.errors import SettingError, policy_code, rule
+from fovconn_env.baselines.policy import Pilot, Policy, scenario_of
+from fovconn_env.errors import SettingError, policy_code, rule, shown
 
 POLICIES: dict[str, type[Policy]] = {
     "zero": Zero,
@@ -42,7 +43,10 @@ POLICIES: dict[str, type[Policy]] = {
     **{file.stem: from_file(file) for file in sorted(FOLDER.glob(f"*{SUFFIX}"))},  # read when first made
 }
 
-Named = str | os.PathLike[str] | type[Policy] | Function
+# What flies by the truth, in `rollout` alone; no policy, so that what acts or learns by observations cannot take one.
+ORACLES: dict[str, type[TeamOracle]] = {}
+
+Named = str | os.PathLike[str] | type[Pilot] | Function
 
 
 def load_policy(name: Named, env: Any) -> Policy:
@@ -56,13 +60,23 @@ def find_policy(name: Named) -> type[Policy]:
     In the place of a class may stand a function that maps flat observations (R, D) to actions (R, 4). The name may be
     left out where a file defines one policy alone, or a function `act`. A filter's name before any of these, as in
     "lambda2-cbf:follow", puts the filter on it. A class or a function itself is taken as well, and a path. Raises
-    `SettingError` for an unknown name, a missing file or class, and `PolicyError` for code that does not load.
+    `SettingError` for an unknown name, a missing file or class, and a `TeamOracle`, which sees no observations; and
+    `PolicyError` for code that does not load.
     """
+    kind = find_pilot(name)
+    if issubclass(kind, Policy):
+        return kind
+    hint = "a TeamOracle flies by the truth, in fovconn eval and demo alone"
+    raise SettingError(f"policy must act by observations, got {shown(name)}: {hint}")
+
+
+def find_pilot(name: Named) -> type[Pilot]:
+    """As `find_policy`, for what is flown by `rollout`: a `TeamOracle`, of `ORACLES` or of your own, is one, too."""
     if not isinstance(name, (str, os.PathLike)):
         return _kind(name, "policy", name)
     name = os.fspath(name)
-    if name in POLICIES:
-        return POLICIES[name]
+    if name in ORACLES or name in POLICIES:
+        return ORACLES[name] if name in ORACLES else POLICIES[name]
     filter, inner = split_name(name)
     if filter is not None:
         return filtered(filter, find_policy(inner), inner if inner in POLICIES else None)
@@ -71,12 +85,12 @@ def find_policy(name: Named) -> type[Policy]:
         return from_file(Path(name))
     place, wanted = (name, "") if name.endswith(".py") or ":" not in name else name.rsplit(":", 1)
     if not place.endswith(".py") and not wanted:
-        near = difflib.get_close_matches(name, POLICIES, n=1, cutoff=0.5)
+        near = difflib.get_close_matches(name, [*POLICIES, *ORACLES], n=1, cutoff=0.5)
         hint = f"did you mean {near[0]!r}?" if near else "your own is file.py:Class or file.safetensors"
         raise SettingError(f"policy must be one of {', '.join(POLICIES)}, or file.py:Class, got {name!r}: {hint}")
     module = _module(place, name)
     mine = {key: value for key, value in vars(module).items() if getattr(value, "__module__", None) == module.__name__}
-    classes = {key: value for key, value in mine.items() if inspect.isclass(value) and issubclass(value, Policy)}
+    classes = {key: value for key, value in mine.items() if inspect.isclass(value) and issubclass(value, Pilot)}
     if not wanted and (len(classes) == 1 or (not classes and "act" in mine)):
         wanted = next(iter(classes), "act")
     hint = f"there are {', '.join(classes)}" if classes else "a policy is a subclass of fovconn_env.baselines.Policy"
@@ -85,7 +99,7 @@ def find_policy(name: Named) -> type[Policy]:
     return _kind(getattr(module, wanted), f"policy {name!r}", wanted if wanted != "act" else Path(place).stem)
 
 
-def source_files(kind: type[Policy]) -> list[Path]:
+def source_files(kind: type[Pilot]) -> list[Path]:
     """The files that a policy consists of, besides this package and what is installed.
 
     Of a policy of one's own: its file and the modules that it imports from beside it, from the working folder, or from
@@ -105,9 +119,9 @@ def source_files(kind: type[Policy]) -> list[Path]:
     return list(dict.fromkeys(files))
 
 
-def _kind(value: Any, field: str, name: Any) -> type[Policy]:
-    """A policy class as it is, or that of a function."""
-    if inspect.isclass(value) and issubclass(value, Policy):
+def _kind(value: Any, field: str, name: Any) -> type[Pilot]:
+    """A pilot's class as it is, or that of a function."""
+    if inspect.isclass(value) and issubclass(value, Pilot):
         return value
     hint = "a policy is a subclass of fovconn_env.baselines.Policy, or a function of flat observations"
     rule(callable(value) and not inspect.isclass(value), field, "a policy class or a function", value, hint)

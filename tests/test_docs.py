@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from fovconn_env import PRESETS, Scenario, Simulator, layout, scenario
-from fovconn_env.baselines import POLICIES, Gains
+from fovconn_env.baselines import ORACLES, POLICIES, Gains
 from fovconn_env.flights.metrics import ERRORS, Meter
 from fovconn_env.kernel import records, step
 
@@ -97,7 +97,7 @@ def test_commands_parse(arguments):
     policies = values.get("policies") or [values.get("policy") or "expert"]
     # written or trained by the reader
     yours = re.compile(r"my_policy\.py(:\w+)?|(lambda2-cbf:)?out/(\w+)/\3\.safetensors")
-    assert all(policy in POLICIES or yours.fullmatch(policy) for policy in policies)
+    assert all(policy in (*POLICIES, *ORACLES) or yours.fullmatch(policy) for policy in policies)
     names = values.get("scenario_names") or [values.get("scenario_name") or "LeaderFollow-v0"]
     if values.get("suite_name"):
         names = suite(values["suite_name"], policies, values.get("only") or ())[1]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fovconn_env.flights.rollout import Observer, PolicyClass, rollout
+from fovconn_env.flights.rollout import Observer, PilotClass, rollout
 from fovconn_env.kernel.jit import code_of, entry, kernel
 from fovconn_env.kernel.maths.weights import range_weight
 from fovconn_env.kernel.onboard.power_iteration import FLOODING
@@ -294,7 +294,7 @@ def _count_yaws(bodies, pairs, peers, s, histograms, settled):
                 histograms[2, _bin(half)] += 1
 
 
-def compile_ahead(policy: PolicyClass, scenario: Scenario) -> None:
+def compile_ahead(policy: PilotClass, scenario: Scenario) -> None:
     """Compile, or find compiled, what a measured flight of a policy needs: its reset, and one step."""
     for _ in itertools.islice(rollout(policy, scenario, [0], observers=[Meter()]), 2):
         pass

@@ -6,32 +6,42 @@ A flight is flown once, however many want something of it: a recording, metrics,
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from fovconn_env.errors import Later, SettingError, as_numbers, policy_code
+from fovconn_env.flights.truth import Truth, read_truth
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.simulator import Simulator
 
 
+@runtime_checkable
 class Policy(Protocol):
-    """What flies a team; `fovconn_env.baselines.Policy` is one."""
+    """What flies a team by its observations: all that has `act`, `fovconn_env.baselines.Policy` for example."""
 
     def act(self, observation: np.ndarray, /) -> np.ndarray:
         """Actions (B, N, 4), shares in [-1, 1], for observations (B, N, D) float32."""
         ...
 
 
-class PolicyClass(Protocol):
-    """What makes policies and says what their team flies with; a subclass of `fovconn_env.baselines.Policy` is one."""
+class TeamOracle(Protocol):
+    """What flies a team by the truth, and has no `act`; `fovconn_env.baselines.TeamOracle` is one."""
 
-    def equip(self, base: Scenario, /) -> Scenario:
-        """The scenario with the policy's own equipment, another estimator for example."""
+    def decide(self, truth: Truth, /) -> np.ndarray:
+        """Actions (B, N, 4), shares in [-1, 1]."""
         ...
 
-    def __call__(self, scenario: Scenario, /) -> Policy:
-        """A policy that knows nothing of earlier flights, for an equipped scenario."""
+
+class PilotClass(Protocol):
+    """What makes pilots and says what their team flies with: a subclass of `fovconn_env.baselines.Pilot`."""
+
+    def equip(self, base: Scenario, /) -> Scenario:
+        """The scenario with the pilot's own equipment, another estimator for example."""
+        ...
+
+    def __call__(self, scenario: Scenario, /) -> Policy | TeamOracle:
+        """A pilot that knows nothing of earlier flights, for an equipped scenario."""
         ...
 
 
@@ -49,7 +59,7 @@ class Observer:
 
 
 def rollout(
-    policy: PolicyClass,
+    policy: PilotClass,
     scenario: Scenario,
     seeds: Sequence[int],
     *,
@@ -59,7 +69,8 @@ def rollout(
     """Fly a policy once from every seed, a world each: yields the simulator after the reset and after every step.
 
     The team flies with the policy's equipment; its starts are drawn by the rules of the scenario as given. simulator:
-    one that is `started` so, in place of a new one. The caller may break off at any step. Raises `PolicyError` that
+    one that is `started` so, in place of a new one. A policy that has no `act` is a `TeamOracle`: it gets the truth in
+    place of observations, here and nowhere else. The caller may break off at any step. Raises `PolicyError` that
     names policy, scenario and step where the policy fails, and `SettingError`, with robot and seed, where it returns
     what is no action.
     """
@@ -97,7 +108,7 @@ def steps(
         yield simulator
 
 
-def decide(policy: Policy, simulator: Simulator) -> np.ndarray:
+def decide(policy: Policy | TeamOracle, simulator: Simulator) -> np.ndarray:
     """A policy's actions (B, N, 4) float64 in the next step, 0 in worlds whose episode is over; raises as `rollout`.
 
     A policy that is `memoryless` gets the observations of the other worlds alone.
@@ -113,7 +124,7 @@ def decide(policy: Policy, simulator: Simulator) -> np.ndarray:
         return f"step {int(simulator.state.episode['step'].max())}"
 
     with policy_code(Later(lambda: f"policy {name} failed on {where} in {at()}:")):
-        returned = policy.act(observations)
+        returned = policy.act(observations) if isinstance(policy, Policy) else policy.decide(read_truth(simulator))
     given = as_numbers(Later(lambda: f"actions of policy {name} on {where} in {at()}"), returned)
     wanted = (len(observations), *shape[1:])
     if given.shape != wanted:

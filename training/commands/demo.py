@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from fovconn_env import scenario
-from fovconn_env.baselines import find_policy
+from fovconn_env.baselines import find_pilot
 from fovconn_env.training.commands.options import (
-    PolicyName,
+    PilotName,
     RecordFile,
     Replace,
     ScenarioName,
@@ -24,7 +24,7 @@ from fovconn_env.training.evaluation.export import check_installed
 
 
 def command(
-    policy: PolicyName = "expert",
+    policy: PilotName = "expert",
     scenario_name: ScenarioName = "TiltDynamics-v0",
     seed: Annotated[int, typer.Option(help="Seed of the flight.", min=0)] = 0,
     folder: Annotated[Path, typer.Option("--out", help="Folder for the pictures.")] = Path("out/demo"),
@@ -37,7 +37,7 @@ def command(
     from fovconn_env.training.evaluation.demo import draw, fly_once
 
     chosen = scenario(scenario_name, **parse(settings))
-    find_policy(policy)
+    find_pilot(policy)
     check_installed("demo")
     check_folder(folder)
     check_recording(recording_file, fresh)

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from fovconn_env import PRESETS, scenario
-from fovconn_env.baselines import POLICIES, find_policy
+from fovconn_env.baselines import ORACLES, POLICIES, find_pilot
 from fovconn_env.errors import rule
 from fovconn_env.training.commands.campaigns import fly_all
 from fovconn_env.training.commands.options import (
@@ -36,7 +36,9 @@ from fovconn_env.training.evaluation.tables import FOOTNOTE, overall_table, scen
 def command(
     policies: Annotated[
         list[str] | None,
-        typer.Option("--policy", help=f"Policy: {', '.join(POLICIES)}; or your own, file.py:Class. Repeatable."),
+        typer.Option(
+            "--policy", help=f"Policy: {', '.join([*POLICIES, *ORACLES])}; or your own, file.py:Class. Repeatable."
+        ),
     ] = None,
     scenario_names: Annotated[
         list[str] | None, typer.Option("--scenario", help=f"Scenario id: {', '.join(PRESETS)}. Repeatable.")
@@ -79,7 +81,7 @@ def command(
     scenarios = [scenario(name, **changes) for name in dict.fromkeys(scenario_names or names)]
     cells = [Cell(policy, task) for task in scenarios for policy in chosen]
     for cell in cells:
-        find_policy(cell.policy).equip(cell.scenario)
+        find_pilot(cell.policy).equip(cell.scenario)
     check_labels(cells)
     check_folder(folder)
     check_folder(recordings, "--record")

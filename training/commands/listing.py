@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Sequence
 
 from fovconn_env import LEVELS, PRESETS
-from fovconn_env.baselines import POLICIES
+from fovconn_env.baselines import ORACLES, POLICIES, find_pilot
 from fovconn_env.baselines.learned.cards import read_card
 from fovconn_env.baselines.learned.policy import Learned
 from fovconn_env.scenarios.presets import SUMMARIES
@@ -18,7 +18,7 @@ def command() -> None:
     """List the scenarios with their levels, the policies, and the suites of `fovconn eval`."""
     levels = {name: f"levels 1-{len(LEVELS[name]) + 1}" if name in LEVELS else "" for name in PRESETS}
     _say("scenarios", [(name, levels[name], SUMMARIES[name]) for name in PRESETS])
-    _say("policies", [(name, "oracle" * kind.oracle, _purpose(name)) for name, kind in POLICIES.items()])
+    _say("policies", [(name, "oracle" * kind.oracle, _purpose(name)) for name, kind in (POLICIES | ORACLES).items()])
     suites = []
     for name, (scenarios, seeds) in SUITES.items():
         which = "all scenarios" if len(scenarios) == len(PRESETS) else ", ".join(scenarios)
@@ -28,7 +28,7 @@ def command() -> None:
 
 
 def _purpose(name: str) -> str:
-    kind = POLICIES[name]
+    kind = find_pilot(name)
     if not (issubclass(kind, Learned) and hasattr(kind, "file")):
         return inspect.cleandoc(kind.__doc__ or "").partition("\n\n")[0].replace("\n", " ")
     card = read_card(kind.file)

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from fovconn_env import PRESETS, Recording, Scenario, scenario
-from fovconn_env.baselines import POLICIES
+from fovconn_env.baselines import ORACLES, POLICIES
 from fovconn_env.errors import SettingError
 from fovconn_env.flights.recording import load
 
@@ -18,6 +18,9 @@ OUT = Path("out")
 
 ScenarioName = Annotated[str, typer.Option("--scenario", help="Scenario id: " + ", ".join(PRESETS))]
 PolicyName = Annotated[str, typer.Option("--policy", help=f"Policy: {', '.join(POLICIES)}; or file.py:Class")]
+PilotName = Annotated[
+    str, typer.Option("--policy", help=f"Policy: {', '.join([*POLICIES, *ORACLES])}; or file.py:Class")
+]
 Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="NAME=VALUE", help="Change a scenario setting, e.g. --set n_agents=4; repeatable."),

@@ -25,7 +25,7 @@ from rich.table import Table
 from rich.text import Text
 
 from fovconn_env import Scenario
-from fovconn_env.baselines import find_policy
+from fovconn_env.baselines import find_pilot
 from fovconn_env.flights.metrics import compile_ahead
 from fovconn_env.text import literal
 from fovconn_env.training.evaluation import Evaluation
@@ -73,7 +73,7 @@ def progress() -> Iterator[Progress]:
 def warm_up(bar: Progress, chosen: Scenario, policy: str) -> None:
     """Load or compile the kernels under a line that says so."""
     task = bar.add_task("loading (compiles once, 15 s)", total=None)
-    compile_ahead(find_policy(policy), chosen)
+    compile_ahead(find_pilot(policy), chosen)
     bar.update(task, total=1, completed=1, description="loaded")
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fovconn_env import PRESETS, Recorder, Scenario
-from fovconn_env.baselines import POLICIES, find_policy
+from fovconn_env.baselines import POLICIES, find_pilot
 from fovconn_env.errors import MachineError, SettingError, closest, rule
 from fovconn_env.flights.rollout import started
 from fovconn_env.sim.seeds import MAX_SEED
@@ -185,7 +185,7 @@ def _orders(
 
     def place(order: Order) -> tuple[float, int]:
         scenario = order.cell.scenario
-        start = scenario, tuple(order.seeds), find_policy(order.cell.policy).equip(scenario)
+        start = scenario, tuple(order.seeds), find_pilot(order.cell.policy).equip(scenario)
         return -len(order.seeds) * _cost(scenario), first.setdefault(start, len(first))
 
     return sorted(orders, key=place)
@@ -254,7 +254,7 @@ def _started(equipped: Scenario, seeds: tuple[int, ...], rules: Scenario) -> Sim
     return started(equipped, seeds, rules, n_threads=1)
 
 
-_kind = functools.cache(find_policy)  # in a process that flies, a policy is loaded once: an edit changes no later block
+_kind = functools.cache(find_pilot)  # in a process that flies, a policy is loaded once: an edit changes no later block
 
 
 def check_labels(cells: Sequence[Cell]) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fovconn_env import PRESETS, scenario
-from fovconn_env.baselines import POLICIES
+from fovconn_env.baselines import ORACLES, POLICIES
 from fovconn_env.baselines.laws.filters import split_name
 from fovconn_env.training.evaluation import ablations, learned, levels
 from fovconn_env.training.evaluation.campaign import DEV_SEEDS
@@ -136,7 +136,7 @@ def _bars_of_reward(record: Record) -> Claims:
 
 def _is_ours(policy: str) -> bool:
     """Whether a name is one of ours: the name of a file of code, from a file of results, is not run."""
-    return split_name(policy)[1] in POLICIES
+    return split_name(policy)[1] in (*POLICIES, *ORACLES)
 
 
 def _value(result: Result, measure: str) -> float:

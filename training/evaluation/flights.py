@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fovconn_env import Recorder, Recording, Scenario
-from fovconn_env.baselines import POLICIES, Policy, find_policy
+from fovconn_env.baselines import ORACLES, POLICIES, Pilot, find_pilot
 from fovconn_env.errors import rule
 from fovconn_env.flights.metrics import ERRORS, Meter, quantile
 from fovconn_env.flights.rollout import Observer, rollout
@@ -44,7 +44,7 @@ class Evaluation(NamedTuple):
 
 
 def evaluate(
-    policy: str | type[Policy],
+    policy: str | type[Pilot],
     scenario: Scenario,
     seeds: Sequence[int],
     *,
@@ -64,7 +64,7 @@ def evaluate(
 
 
 def fly(
-    policy: str | type[Policy],
+    policy: str | type[Pilot],
     scenario: Scenario,
     seeds: Sequence[int],
     *,
@@ -76,7 +76,7 @@ def fly(
 
     The result then has the finished episodes alone. Observers look on; simulator, and what it raises: as of `rollout`.
     """
-    kind, meter, told = find_policy(policy), Meter(), -math.inf
+    kind, meter, told = find_pilot(policy), Meter(), -math.inf
     for flown in rollout(kind, scenario, seeds, observers=[meter, *observers], simulator=simulator):
         if time.monotonic() < told + TELL:
             continue
@@ -91,7 +91,7 @@ def fly(
     return Evaluation(label(policy), scenario, finished, episodes, meter.histograms()[done])
 
 
-def record(policy: str | type[Policy], scenario: Scenario, seed: int) -> Recording:
+def record(policy: str | type[Pilot], scenario: Scenario, seed: int) -> Recording:
     """Fly a policy once as `fly` does, and record it."""
     recorder = Recorder(policies=[label(policy)])
     fly(policy, scenario, [seed], watch=lambda done: None, observers=[recorder])
@@ -118,10 +118,10 @@ def reuse_line(parts: Iterable[Reused | None]) -> str:
     return f"{count} episode{'s' if count > 1 else ''} reused from {first}{until}"
 
 
-def label(policy: str | type[Policy]) -> str:
-    """What a policy is called in tables: its name in POLICIES, or its class's."""
-    kind = find_policy(policy)
-    return policy if isinstance(policy, str) and policy in POLICIES else literal(kind.__name__)
+def label(policy: str | type[Pilot]) -> str:
+    """What a policy is called in tables: its name in POLICIES or ORACLES, or its class's."""
+    kind = find_pilot(policy)
+    return policy if isinstance(policy, str) and policy in (*POLICIES, *ORACLES) else literal(kind.__name__)
 
 
 def summary(evaluation: Evaluation) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from types import FrameType
 from typing import Any
 
 import fovconn_env
-from fovconn_env.baselines import Policy
+from fovconn_env.baselines import Pilot
 from fovconn_env.baselines.registry import source_files
 
 Files = dict[str, str]  # path: hash of what it held, "" if there was nothing
@@ -35,7 +35,7 @@ _COMPILED = (".nbi", ".nbc")
 _CHANGED = "changed"  # in the place of a hash: of a file that was read twice and was not the same
 
 
-def sources(kind: type[Policy]) -> list[Path]:
+def sources(kind: type[Pilot]) -> list[Path]:
     """Files of the user's modules that a policy class is made of."""
     return [file for file in source_files(kind) if _is_users(str(file))]
 
@@ -134,7 +134,7 @@ class Reads:
         self.policy = ""  # that flies
         sys.addaudithook(self._hook)
 
-    def of(self, policy: str, kind: type[Policy]) -> Files:
+    def of(self, policy: str, kind: type[Pilot]) -> Files:
         """What a policy of this name and class consists of and has read in this process."""
         own = sources(kind)
         files = {path: self._first.setdefault(path, digest(path)) for path in map(str, own)}

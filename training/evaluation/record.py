@@ -20,7 +20,7 @@ import numba
 import numpy as np
 
 import fovconn_env
-from fovconn_env.baselines import find_policy
+from fovconn_env.baselines import find_pilot
 from fovconn_env.files import read_json, write_text
 from fovconn_env.flights.metrics import ERRORS
 from fovconn_env.training.evaluation.flights import SHARES, Evaluation, summary
@@ -108,7 +108,7 @@ def result_of(evaluation: Evaluation, settings: Mapping[str, Any] | None = None)
 
 def about(policy: str) -> dict[str, Any]:
     """What a policy is: its purpose, what its team is equipped with, and whether it is an oracle."""
-    kind = find_policy(policy)
+    kind = find_pilot(policy)
     purpose = (kind.__doc__ or "").partition("\n")[0]
     return {"purpose": purpose, "overrides": dict(kind.overrides), "oracle": kind.oracle}
 

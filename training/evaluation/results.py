@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fovconn_env.baselines import POLICIES
+from fovconn_env.baselines import ORACLES, POLICIES
 from fovconn_env.files import write_files
 from fovconn_env.scenarios.serialize import scenario_to_json
 from fovconn_env.training.evaluation.comparison import Comparison, compare
@@ -35,7 +35,7 @@ def publish(
 ) -> Published:
     """Write results.json, marl-eval.json and the report into a folder: all of them or, after an exception, none.
 
-    policies: as `find_policy` takes them; settings: changed from the presets; seconds: what the flights took;
+    policies: as `find_pilot` takes them; settings: changed from the presets; seconds: what the flights took;
     draft: of the same policies, settings and folder, what was made while they flew.
     """
     compared, drawn = draft.parts() if draft is not None else ({}, {})
@@ -76,7 +76,7 @@ def record_of(comparison: Comparison, policies: Mapping[str, Mapping[str, Any]])
 
 def _head(record: Record, settings: Mapping[str, Any], policies: Sequence[str]) -> dict[str, str]:
     """What the report says at its top."""
-    own = [f"{label(policy)} is {policy}" for policy in policies if policy not in POLICIES]
+    own = [f"{label(policy)} is {policy}" for policy in policies if policy not in (*POLICIES, *ORACLES)]
     seeds, run = record.seeds, record.run
     spread = f"{min(seeds)} to {max(seeds)}" if len(seeds) > 1 else f"{seeds[0]}"
     return {

@@ -19,7 +19,7 @@ import numpy as np
 
 import fovconn_env
 from fovconn_env import Scenario
-from fovconn_env.baselines import find_policy
+from fovconn_env.baselines import find_pilot
 from fovconn_env.errors import FovconnError, SettingError
 from fovconn_env.files import Archive, Kind, printable, read_archive, write_archive
 from fovconn_env.scenarios.serialize import scenario_to_json
@@ -32,7 +32,7 @@ EVALUATION = Kind("fovconn_evaluation", "file of finished episodes", "fovconn ev
 
 
 class Cell(NamedTuple):
-    """What is flown: a policy, as `find_policy` takes it, on a scenario."""
+    """What is flown: a policy, as `find_pilot` takes it, on a scenario."""
 
     policy: str
     scenario: Scenario
@@ -121,7 +121,7 @@ class Shelf:
 
 def fingerprint(cell: Cell) -> str:
     """Twelve letters that change with all settings of a cell, the code that flies it, and what the code runs on."""
-    kind = find_policy(cell.policy)
+    kind = find_pilot(cell.policy)
     files = sources(kind)
     parts = [scenario_to_json(scenario) for scenario in (cell.scenario, kind.equip(cell.scenario))]
     parts += [code_hash(Path(inspect.getfile(fovconn_env)).parent), kind.tag(), [digest(str(file)) for file in files]]
