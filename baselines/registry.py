@@ -19,6 +19,7 @@ from fovconn_env.baselines.laws.recovery import Recovery
 from fovconn_env.baselines.laws.simple import Follow, Random, Springs, Zero
 from fovconn_env.baselines.learned.cards import FOLDER, SUFFIX
 from fovconn_env.baselines.learned.policy import Learned, from_file
+from fovconn_env.baselines.oracles.planner import Planner
 from fovconn_env.baselines.oracles.team_oracle import TeamOracle
 from fovconn_env.baselines.own import files_of, load_file, load_module
 from fovconn_env.baselines.policy import Pilot, Policy, scenario_of
@@ -44,7 +45,7 @@ POLICIES: dict[str, type[Policy]] = {
 }
 
 # What flies by the truth, in `rollout` alone; no policy, so that what acts or learns by observations cannot take one.
-ORACLES: dict[str, type[TeamOracle]] = {}
+ORACLES: dict[str, type[TeamOracle]] = {"oracle-planner": Planner}
 
 Named = str | os.PathLike[str] | type[Pilot] | Function
 

@@ -1,0 +1,172 @@
+"""Ways around obstacles: shortest on a grid, then pulled tight like a band that obstacles push away. World frame, m."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fovconn_env.kernel.jit import entry, kernel
+from fovconn_env.kernel.maths.geometry import nearest_on_piece
+
+CELL = 0.2  # m, of the grid
+AROUND = 6.0  # m, the grid reaches beyond start, goal and the obstacles near them
+STEP = 0.1  # m, between points of a path
+WIDE = 1.1  # m, of clearance, beyond which more is worth nothing
+NARROW = 0.1  # m, least clearance beyond the collision distance
+ROUNDS = 300  # in which a band is pulled tight
+MOST_CELLS = 4_000_000
+
+
+def find_path(
+    start: np.ndarray, goal: np.ndarray, pieces: np.ndarray, vertices: np.ndarray, least: float
+) -> np.ndarray:
+    """Points (P, 3) from start to goal, `STEP` apart in plan, the last at the goal; straight where nothing is near.
+
+    Heights change evenly along it. pieces (P,) PIECE; least: m, of clearance at which a robot collides. Where no way is
+    wide enough it is straight, too.
+    """
+    count = max(math.ceil(float(np.linalg.norm(goal[:2] - start[:2])) / STEP), 1)
+    path = start + np.linspace(0.0, 1.0, count + 1)[:, None] * (goal - start)
+    solid = _in_the_way(pieces, float(path[:, 2].min()), float(path[:, 2].max()), least)
+    if len(solid) == 0 or band_clearance(path, solid, vertices) >= WIDE:
+        return path
+    points = np.concatenate([vertices[piece["first"] : piece["first"] + piece["count"]] for piece in solid])
+    low = np.minimum(start, goal)[:2] - AROUND
+    high = np.maximum(start, goal)[:2] + AROUND
+    near = points[((points > low - AROUND) & (points < high + AROUND)).all(axis=1)].reshape(-1, 2)
+    near = np.concatenate([near, start[None, :2], goal[None, :2]])
+    low, high = np.minimum(low, near.min(0) - 2.0), np.maximum(high, near.max(0) + 2.0)
+    shape = np.ceil((high - low) / CELL).astype(int) + 1
+    if int(shape[0]) * int(shape[1]) > MOST_CELLS:
+        return path
+    cost, reach = np.empty(tuple(shape)), np.full(tuple(shape), np.inf)
+    fill_costs(cost, low, solid, vertices, least)
+    cells = [tuple(np.round((point[:2] - low) / CELL).astype(int)) for point in (start, goal)]
+    reach[cells[1]] = 0.0
+    while spread(cost, reach):
+        pass
+    if not np.isfinite(reach[cells[0]]):
+        return path
+    steps = np.empty((reach.size, 2), np.int64)
+    count = descend(reach, cost, cells[0][0], cells[0][1], steps)
+    plan = low + CELL * steps[:count]
+    plan[0], plan[-1] = start[:2], goal[:2]
+    if count == 1:
+        return path
+    plan = resample(plan, STEP)
+    tighten(plan, solid, vertices, least)
+    plan = resample(plan, STEP)
+    share = np.linspace(0.0, 1.0, len(plan))[:, None]
+    return np.concatenate([plan, start[2] + share * (goal[2] - start[2])], axis=1)
+
+
+def resample(points: np.ndarray, step: float) -> np.ndarray:
+    """Points evenly spread along a polyline (P, D), about `step` apart; the ends stay."""
+    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    at = np.linspace(0.0, lengths[-1], max(math.ceil(lengths[-1] / step), 1) + 1)
+    return np.stack([np.interp(at, lengths, column) for column in points.T], axis=1)
+
+
+def _in_the_way(pieces: np.ndarray, low: float, high: float, least: float) -> np.ndarray:
+    """The pieces at the heights from low to high."""
+    margin = least + 0.5
+    used = (pieces["count"] > 0) & (pieces["low"] < high + margin) & (pieces["high"] > low - margin)
+    solid = pieces[used].copy()
+    solid["low"], solid["high"] = -1e9, 1e9  # a way around, not over
+    return solid
+
+
+@kernel
+def room(x, y, pieces, vertices):
+    """Clearance in plan, m, and the unit vector away from the nearest surface: (clearance, ux, uy)."""
+    least, ux, uy = math.inf, 0.0, 0.0
+    for k in range(pieces.shape[0]):
+        nx, ny, _, distance = nearest_on_piece(x, y, 0.0, pieces[k], vertices)
+        if distance < least:
+            least = distance
+            length = max(math.hypot(x - nx, y - ny), 1e-9)
+            sign = 1.0 if distance >= 0.0 else -1.0
+            ux, uy = sign * (x - nx) / length, sign * (y - ny) / length
+    return least, ux, uy
+
+
+@entry
+def band_clearance(points, pieces, vertices):
+    """Least clearance of points (P, 3), m."""
+    least = math.inf
+    for k in range(points.shape[0]):
+        least = min(least, room(points[k, 0], points[k, 1], pieces, vertices)[0])
+    return least
+
+
+@entry
+def fill_costs(cost, low, pieces, vertices, least):
+    """Cost of a metre in each cell: 1 in the open, more near obstacles, infinite where a robot does not fit."""
+    for a in range(cost.shape[0]):
+        for b in range(cost.shape[1]):
+            clear, _, _ = room(low[0] + CELL * a, low[1] + CELL * b, pieces, vertices)
+            tight = max(WIDE - clear, 0.0) / (WIDE - least)
+            cost[a, b] = 1.0 + 4.0 * tight * tight if clear > least + NARROW else math.inf
+
+
+@entry
+def spread(cost, reach):
+    """One pass of Gauss-Seidel in four directions over the costs to the goal; whether one of them became less."""
+    rows, columns = cost.shape
+    changed = False
+    for way in range(4):
+        for u in range(rows):
+            a = u if way < 2 else rows - 1 - u
+            for v in range(columns):
+                b = v if way % 2 == 0 else columns - 1 - v
+                if cost[a, b] == math.inf:
+                    continue
+                best = reach[a, b]
+                for da in range(-1, 2):
+                    for db in range(-1, 2):
+                        c, d = a + da, b + db
+                        if (da == 0 and db == 0) or c < 0 or d < 0 or c >= rows or d >= columns:
+                            continue
+                        length = CELL * (1.4142135623730951 if da != 0 and db != 0 else 1.0)
+                        best = min(best, reach[c, d] + 0.5 * length * (cost[a, b] + cost[c, d]))
+                if best < reach[a, b] - 1e-9:
+                    reach[a, b] = best
+                    changed = True
+    return changed
+
+
+@entry
+def descend(reach, cost, a, b, steps):
+    """Cells (P, 2) from (a, b) to the goal along the least costs; returns P."""
+    rows, columns = reach.shape
+    count = 0
+    while True:
+        steps[count, 0], steps[count, 1] = a, b
+        count += 1
+        if reach[a, b] == 0.0 or count == steps.shape[0]:
+            return count
+        least, best_a, best_b = math.inf, a, b
+        for da in range(-1, 2):
+            for db in range(-1, 2):
+                c, d = a + da, b + db
+                if (da == 0 and db == 0) or c < 0 or d < 0 or c >= rows or d >= columns:
+                    continue
+                length = CELL * (1.4142135623730951 if da != 0 and db != 0 else 1.0)
+                total = reach[c, d] + 0.5 * length * (cost[a, b] + cost[c, d])
+                if total < least:
+                    least, best_a, best_b = total, c, d
+        a, b = best_a, best_b
+
+
+@entry
+def tighten(band, pieces, vertices, least):
+    """Pull a band (P, 2) tight between its ends, in place, while obstacles nearer than `WIDE` push it away."""
+    for _ in range(ROUNDS):
+        for k in range(1, band.shape[0] - 1):
+            x, y = band[k, 0], band[k, 1]
+            px = x + 0.5 * (0.5 * (band[k - 1, 0] + band[k + 1, 0]) - x)
+            py = y + 0.5 * (0.5 * (band[k - 1, 1] + band[k + 1, 1]) - y)
+            clear, ux, uy = room(px, py, pieces, vertices)
+            push = 0.05 * max(WIDE - clear, 0.0) / (WIDE - least)
+            band[k, 0], band[k, 1] = px + push * ux, py + push * uy

@@ -1,0 +1,45 @@
+"""A ceiling: a convoy along a course that is laid around the obstacles, in which every camera has a robot to keep."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fovconn_env.baselines.oracles.convoy import CONVOY, fly_convoys, make_scratch
+from fovconn_env.baselines.oracles.plan import begin_plan, empty_plan, line_up
+from fovconn_env.baselines.oracles.team_oracle import TeamOracle
+from fovconn_env.flights.truth import Truth
+from fovconn_env.scenarios.scenario import Scenario
+
+
+class Planner(TeamOracle):
+    """Flies the whole team as a convoy along the leader's course, each camera on a robot ahead; it knows everything."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        super().__init__(scenario)
+        camera = scenario.camera
+        self.gap = camera.d_min + 0.5 * (camera.D1 - camera.d_min)  # m between robots, of half the range weight (9)
+        self._params, self._scratch = scenario.params(), make_scratch(scenario.n_agents)
+        self._plan = empty_plan(0, scenario)
+
+    def decide(self, truth: Truth) -> np.ndarray:
+        """Actions (B, N, 4)."""
+        n_worlds = len(truth.going)
+        if len(self._plan.leader) != n_worlds:
+            self._plan = empty_plan(n_worlds, self.scenario)
+        for b in np.flatnonzero(truth.going & (self._plan.leader != truth.leader)):
+            self._plan = begin_plan(self._plan, truth, int(b), self.scenario, self.gap)
+        actions = np.zeros((n_worlds, self.scenario.n_agents, 4))
+        for b in np.flatnonzero(truth.going & self._plan.ready):
+            self._go_on(truth, int(b))
+        fly_convoys(truth, self._plan, self._scratch, self._params, self.gap, actions)
+        return actions
+
+    def _go_on(self, truth: Truth, b: int) -> None:
+        """Begin the next stage of world b."""
+        plan = self._plan
+        plan.stage[b], plan.ready[b], plan.began[b] = plan.stage[b] + 1, False, truth.time[b]
+        if plan.stage[b] == CONVOY:
+            offset = truth.position[b][None] - truth.position[b][:, None]
+            distance = np.linalg.norm(offset, axis=-1)
+            ahead = np.einsum("ijk,ik->ij", offset, truth.optical_axis[b]) > self.scenario.camera.a_min * distance
+            line_up(plan, truth, b, self.scenario, ahead & (truth.weight[b] > 0.0))

@@ -1,0 +1,195 @@
+"""What flies by the truth: it is the simulator's, goes to the oracles of `rollout` alone, and shows a ceiling."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+from fovconn_env import Simulator, scenario
+from fovconn_env.baselines import ORACLES, POLICIES, Policy, TeamOracle, find_pilot, find_policy, load_policy
+from fovconn_env.baselines.oracles.planner import Planner
+from fovconn_env.errors import SettingError
+from fovconn_env.flights.rollout import rollout
+from fovconn_env.flights.truth import read_truth
+from tests.helpers import recorded_actions, small
+
+REFUSED = r"policy must act by observations, got .*: a TeamOracle flies by the truth"
+
+
+def flown(chosen, n_steps, n_worlds=2, seed=3):
+    """A simulator in the middle of a flight."""
+    simulator = Simulator(chosen, n_worlds)
+    simulator.reset(seed)
+    for action in recorded_actions(n_steps, chosen.n_agents, n_worlds=n_worlds, size=0.5):
+        simulator.step(action)
+    return simulator
+
+
+# ------------------------------------------------------------------------------------------------------- the truth
+@pytest.mark.nojit
+@pytest.mark.parametrize("name", ["LeaderObstacles-v0", "TiltDynamics-v0", "Blackout-v0"])
+def test_the_truth_is_the_simulators(name):
+    """Against what the simulator tells by other ways: poses, two poses a step apart, weights, stick and clock."""
+    chosen = small(name, patience=1e3, course={"settle": 0.05})
+    simulator = flown(chosen, 8)
+    before, truth = simulator.poses(), read_truth(simulator)
+    np.testing.assert_array_equal(np.concatenate([truth.position, truth.yaw[..., None]], axis=-1), before)
+    np.testing.assert_array_equal(truth.weight, simulator.adjacency())
+    np.testing.assert_array_equal(truth.lambda2, simulator.infos["lambda2"][:, 0])
+    assert truth.time == pytest.approx([0.4, 0.4])
+    assert truth.time_left == pytest.approx([chosen.max_cycles * 0.05 - 0.4] * 2)
+    np.testing.assert_allclose(np.linalg.norm(truth.optical_axis, axis=-1), 1.0, atol=1e-12)
+    heading = truth.yaw + np.pi / 4  # the camera looks 45 deg to the left of the nose
+    if chosen.dynamics == "kinematic":
+        expected = np.stack([np.cos(heading), np.sin(heading), 0 * heading], axis=-1)
+        np.testing.assert_allclose(truth.optical_axis, expected, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(truth.stick, axis=-1), chosen.stick_speed, atol=1e-12)
+    to_goal = truth.waypoint[:, 0] - truth.position[[0, 1], truth.leader]
+    away = np.linalg.norm(to_goal, axis=-1, keepdims=True)
+    np.testing.assert_allclose(truth.stick, chosen.stick_speed * to_goal / away, atol=1e-12)
+    np.testing.assert_array_equal(truth.piece, simulator.world.piece)
+    np.testing.assert_array_equal(truth.fault, simulator.world.fault)
+    assert truth.fault.shape == (2, len(chosen.faults))
+
+
+@pytest.mark.nojit
+def test_velocities_are_of_the_world_frame():
+    """A kinematic robot at a constant yaw moves by velocity times step."""
+    simulator = flown(small(), 0)
+    actions = np.random.default_rng(0).uniform(-0.4, 0.4, (2, 4, 4))
+    actions[..., 3] = 0.0
+    before = read_truth(simulator)
+    simulator.step(actions)
+    after = read_truth(simulator)
+    np.testing.assert_allclose(after.position - before.position, 0.05 * after.velocity, atol=1e-12)
+    assert np.abs(after.velocity).min() > 1e-3
+
+
+@pytest.mark.nojit
+def test_the_truth_is_a_snapshot_that_cannot_be_written_to():
+    simulator = flown(small("LeaderObstacles-v0"), 2)
+    truth = read_truth(simulator)
+    kept = pickle.loads(pickle.dumps(truth))
+    for name, array in truth._asdict().items():
+        assert not array.flags.writeable, name
+        assert not any(np.shares_memory(array, own) for own in (*simulator.state.arrays().values(), *simulator.world))
+    simulator.step(np.full((2, 4, 4), 0.3))
+    for name, array in truth._asdict().items():
+        np.testing.assert_array_equal(array, getattr(kept, name), err_msg=name)
+    assert not np.array_equal(read_truth(simulator).position, kept.position)
+
+
+# --------------------------------------------------------------------------------------------------- who gets it
+class Spy(Policy):
+    """Has all that a policy may have, and a `decide` that would take the truth."""
+
+    seen: list = []
+
+    def decide(self, flat):
+        self.seen.append(type(flat))
+        return np.zeros((len(flat), 4))
+
+
+class Still(TeamOracle):
+    """Stands still, against the operator."""
+
+    def decide(self, truth):
+        actions = np.zeros((*truth.yaw.shape, 4))
+        c, s = np.cos(truth.yaw), np.sin(truth.yaw)
+        x, y, z = truth.stick[:, 0, None], truth.stick[:, 1, None], truth.stick[:, 2, None]
+        leads = np.arange(truth.yaw.shape[1]) == truth.leader[:, None]
+        body = np.stack([c * x + s * y, c * y - s * x, z + 0 * c], axis=-1)
+        top = self.scenario.speed_limit + self.scenario.stick_speed
+        actions[..., :3] = -1.0 * leads[..., None] * body / top
+        return actions
+
+
+@pytest.mark.nojit
+def test_what_acts_gets_observations_and_nothing_else():
+    Spy.seen.clear()
+    for _ in rollout(Spy, small(max_cycles=2), [1]):
+        pass
+    assert Spy.seen == [np.ndarray] * 2
+
+
+@pytest.mark.nojit
+def test_the_leaders_action_is_added_to_the_stick():
+    chosen = small(max_cycles=4, course={"settle": 0.0})
+    for simulator in rollout(Still, chosen, [1, 2]):
+        if simulator.state.episode["step"][0] == 0:
+            start = simulator.poses()
+    np.testing.assert_allclose(simulator.poses(), start, atol=1e-12)
+
+
+def test_it_is_no_policy_and_is_refused_where_policies_act():
+    from fovconn_env.training.play.session import Session
+
+    assert not set(ORACLES) & set(POLICIES)
+    for name, kind in ORACLES.items():
+        assert find_pilot(name) is kind
+        assert kind.oracle
+        assert not hasattr(kind, "act")
+        assert not issubclass(kind, Policy)
+        for refuses in (find_policy, lambda wanted: load_policy(wanted, small())):
+            for wanted in (name, kind):
+                with pytest.raises(SettingError, match=REFUSED):
+                    refuses(wanted)
+        for filter in ("lambda2-cbf", "fov-cbf", "safe"):
+            with pytest.raises(SettingError, match=REFUSED):
+                find_pilot(f"{filter}:{name}")
+        with pytest.raises(SettingError, match=REFUSED):
+            Session(policy=name)
+
+
+def test_trainers_refuse_it():
+    pytest.importorskip("torch")
+    from fovconn_env.training.learn.dagger import DaggerSettings
+    from fovconn_env.training.learn.datasets import record
+    from fovconn_env.training.learn.rows import Rows
+
+    with pytest.raises(SettingError, match=r"DaggerSettings\.expert must be one of .*, got 'oracle-planner'"):
+        DaggerSettings(expert="oracle-planner")
+    with pytest.raises(SettingError, match=r"base must be one of .*, got 'oracle-planner'"):
+        Rows([small()], 1, base="oracle-planner")
+    with pytest.raises(SettingError, match=REFUSED):
+        record("oracle-planner", small(), [1])
+
+
+def test_an_oracle_of_ones_own(tmp_path, monkeypatch):
+    from fovconn_env.training.evaluation import evaluate
+
+    monkeypatch.chdir(tmp_path)
+    text = "import numpy as np\nfrom fovconn_env.baselines import TeamOracle\n\n\nclass Stay(TeamOracle):\n"
+    text += "    def decide(self, truth):\n        return np.zeros((*truth.yaw.shape, 4))\n"
+    (tmp_path / "own_oracle.py").write_text(text)
+    result = evaluate("own_oracle.py", small(max_cycles=2), [1, 2])
+    assert (result.policy, len(result.seeds)) == ("Stay", 2)
+    with pytest.raises(SettingError, match=REFUSED):
+        find_policy("own_oracle.py:Stay")
+
+
+def test_what_it_returns_is_checked_as_a_policys():
+    class Wrong(Still):
+        def decide(self, truth):
+            return super().decide(truth)[:, 1:]
+
+    with pytest.raises(SettingError, match=r"Wrong must return actions of the shape \(1, 4, 4\), got \(1, 3, 4\)"):
+        for _ in rollout(Wrong, small(max_cycles=2), [1]):
+            pass
+
+
+# ------------------------------------------------------------------------------------------------------ the planner
+def track(chosen, seeds, n_steps):
+    """Poses (T, B, N, 4) of the planner's flights."""
+    chosen = scenario(chosen, max_cycles=n_steps)
+    return np.stack([simulator.poses() for simulator in rollout(Planner, chosen, seeds)])
+
+
+@pytest.mark.parametrize("name", ["LeaderFollow-v0", "LeaderObstacles-v0", "Blackout-v0"])
+def test_a_world_flies_alone_as_in_a_batch_and_twice_the_same(name):
+    chosen = small(name, patience=1e3)
+    both, again = (track(chosen, [5, 6, 7], 500) for _ in range(2))
+    np.testing.assert_array_equal(both, again)
+    for k, seed in enumerate((5, 6, 7)):
+        alone = track(chosen, [seed], 500)[:, 0]
+        np.testing.assert_array_equal(both[: len(alone), k], alone)
