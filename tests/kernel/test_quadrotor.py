@@ -314,6 +314,55 @@ def test_step_settles_with_slow_and_noisy_rotors(direction):
     assert np.degrees(tilt_of(bodies).max()) < 25.0
 
 
+def planar(seconds, m, speed=1.0, force=0.0, h=2.5e-4):
+    """Place, speed and pitch, (ticks,) each, of a step of `speed` (1 or 0 m/s) under a force (N), from Lee's equations.
+
+    The loop in a vertical plane: the reference is the trapezoid of acceleration that the limits allow, held for a tick
+    at its value at the tick's end; thrust and torque lag, height is not controlled; explicit Euler in steps of h.
+    """
+    ramp, hold = m["max_accel"] / m["max_jerk"], 1.0 / m["max_accel"] - m["max_accel"] / m["max_jerk"]
+    knots, top = np.array([0.0, ramp, ramp + hold, 2.0 * ramp + hold]), speed * m["max_accel"]
+    gap = r = x = v = pitch = rate = torque = 0.0  # gap: position reference minus position
+    lift, found, n = 9.81, [], round(m["tick"] / h)
+    for k in range(round(seconds / h)):
+        now = m["tick"] * (k // n)
+        before, a = np.interp([now, now + m["tick"]], knots, [0.0, top, top, 0.0])
+        jerk = (a - before) / m["tick"]
+        u = m["kp"] * gap + m["kv"] * (r - v) + a
+        goal, omega = math.atan2(u, 9.81), jerk * 9.81 / (u * u + 9.81**2)
+        asked = -m["kq_tilt"] * math.sin(pitch - goal) - m["kw_tilt"] * (rate - omega)
+        torque += h * (asked - torque) / m["rotor_lag"]
+        lift += h * (u * math.sin(pitch) + 9.81 * math.cos(pitch) - lift) / m["rotor_lag"]
+        pitch, rate = pitch + h * rate, rate + h * torque / m["inertia_xy"]
+        gap, r, x = gap + h * (r - v), r + h * a, x + h * v
+        v += h * (lift * math.sin(pitch) + force / m["mass"])
+        if (k + 1) % n == 0:
+            found.append((x, v, pitch))
+    return np.array(found).T
+
+
+@pytest.mark.parametrize("changes", [{}, {"rotor_lag": 0.04}, {"max_accel": 2.0}], ids=str)
+def test_step_of_1_m_s_is_that_of_a_planar_model(changes):
+    bodies, _ = run(hold((1, 0, 0, 0), 2.0), **changes)
+    x, speed, pitch = planar(2.0, MODEL | changes)
+    np.testing.assert_allclose(bodies["x"], x, atol=0.002)
+    np.testing.assert_allclose(bodies["vx"], speed, atol=0.005)
+    np.testing.assert_allclose(np.degrees(bodies["pitch"]), np.degrees(pitch), atol=0.3)
+
+
+def test_a_constant_force_moves_it_as_it_moves_a_planar_model():
+    p = params()
+    body, flight = start(p)
+    flight[0].fx = 1.0  # N; without force_noise it stays
+    commands = hold((0, 0, 0, 0), 6.0)
+    bodies, flights = np.zeros(len(commands), BODY), np.zeros(len(commands), FLIGHT)
+    follow(body, flight, p, np.uint64(5), commands, bodies, flights)
+    x, _, pitch = planar(6.0, MODEL, speed=0.0, force=1.0)
+    np.testing.assert_allclose(bodies["x"], x, atol=0.002)
+    np.testing.assert_allclose(np.degrees(bodies["pitch"]), np.degrees(pitch), atol=0.1)
+    assert abs(bodies["x"][-1] * MODEL["mass"] * MODEL["kp"] - 1.0) < 0.01  # it ends at F / (m kp)
+
+
 def test_yaw_rate_step_is_tracked():
     bodies, flights = run(hold((0.5, 0, 0, 1.0), 6.0))
     w = bodies["yaw_rate"]
