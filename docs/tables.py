@@ -10,6 +10,7 @@ In README.md and docs/*.md a table stands between `<!-- KIND:NAME -->` and `<!--
   `machine` of docs/speed.json, with `--baseline`
 - `quickstart`: `spread`, a table, or `line`, a sentence in docs/quickstart.ipynb, of docs/quickstart.json, which
   docs/quickstart_spread.py writes
+- `fidelity`: `flights` or `causes` of docs/fidelity.json, which docs/fidelity.py writes
 - `layout`: a table of `fovconn_env.layout`, or `scales`, what the named bounds are
 - `settings`: fields of a settings class, with their bounds
 - `keys`: one group of the keys of `fovconn play`, `mouse` or `gamepad`
@@ -61,12 +62,42 @@ FIVE = (  # of the README, as in `tables.CARD`
     ("error of a robot's own lambda2, median", ("lambda2_error_median",), ".2%"),
     ("bytes that a robot sends in a second", ("bytes_per_second",), ",.0f"),
 )
+FLIGHTS = (  # of docs/fidelity.json
+    ("1 m/s forward: rise from 10 to 90 %, s", "velocity", "rise", ".2f"),
+    ("overshoot", "velocity", "overshoot", ".0%"),
+    ("within 5 % after, s", "velocity", "settle", ".2f"),
+    ("peak tilt, °", "velocity", "tilt", ".1f"),
+    ("tilt after 3 s, °", "velocity", "held", ".1f"),
+    ("1 rad/s in yaw: rise from 10 to 90 %, s", "yaw", "rise", ".2f"),
+    ("overshoot", "yaw", "overshoot", ".0%"),
+    ("within 5 % after, s", "yaw", "settle", ".2f"),
+    ("change of height, cm", "yaw", "climb", ".1f"),
+    ("gust of 4 m/s for 3 s: displacement, cm", "gust", "displacement", ".1f"),
+    ("peak tilt, °", "gust", "tilt", ".1f"),
+    ("hover for 20 s, random force of 0.2 N: horizontal displacement, rms, cm", "hover", "rms", ".1f"),
+)
+FLIERS = {
+    "ours": "`fovconn_env`",
+    "plant": "its controller, rotorpy's body",
+    "drag": "the same with drag",
+    "se3": "rotorpy: `SE3Control`, drag",
+}
+_STEP, _GUST = "overshoot, step of 1 m/s", "displacement by the gust, cm"
+_TURN = "overshoot, step in yaw rate"
+CAUSES = (
+    ("`SE3Control` follows our reference", _STEP, ".0%", ("velocity se3 overshoot", "velocity shaped overshoot")),
+    ("and gets its body rate", _STEP, ".0%", ("velocity shaped overshoot", "velocity fed overshoot")),
+    ("our controller gets none (no drag)", _STEP, ".0%", ("velocity plant overshoot", "unfed")),
+    ("`SE3Control` is asked for 0.1, not 1 rad/s", _TURN, ".0%", ("yaw se3 overshoot", "small yaw")),
+    ("and the rotors lag by 5, not 20 ms", _TURN, ".0%", ("small yaw", "quick rotors")),
+    ("`SE3Control` has our `kp` and `kv`", _GUST, ".1f", ("gust se3 displacement", "our gains")),
+)
 _MARKED = re.compile(r"(<!-- (\w+):([\w -]+?) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def rendered(text: str) -> str:
     """A page with its generated tables made anew."""
-    kinds = {"layout": layout_table, "settings": settings_table, "keys": keys_table}
+    kinds = {"layout": layout_table, "settings": settings_table, "keys": keys_table, "fidelity": fidelity_table}
     kinds |= {"quickstart": quickstart_table, "results": results_table, "five": five_table}
     for kind, file in (("bench", "benchmark.json"), ("speed", "speed.json")):
         kinds[kind] = functools.partial(bench_table, file)
@@ -139,6 +170,22 @@ def quickstart_table(name: str) -> str:
         return f"Trained from the seeds {seeds} it had success in {shares} of the flights that `show` flies."
     rows = [[str(each["seed"]), *(_percents(each[flights]) for flights in ("16", "320"))] for each in trained]
     return markdown((["seed", "kept, success, progress in 16 flights", "in 320 flights"], rows))
+
+
+def fidelity_table(name: str) -> str:
+    """Of docs/fidelity.json: "flights", what each flier did, or "causes", what a change made of a measure."""
+    record = json.loads((ROOT / "docs" / "fidelity.json").read_text("utf-8"))
+    values = dict(record["causes"])
+    for scene, fliers in record["measures"].items():
+        values |= {f"{scene} {flier} {key}": value for flier, found in fliers.items() for key, value in found.items()}
+    if name == "causes":
+        rows = [[*words, *(f"{values[key]:{form}}" for key in keys)] for *words, form, keys in CAUSES]
+        return markdown((["change", "measure", "before", "after"], rows))
+    rows = [
+        [label, *(f"{values[f'{scene} {flier} {key}']:{form}}" for flier in FLIERS)]
+        for label, scene, key, form in FLIGHTS
+    ]
+    return markdown((["", *FLIERS.values()], rows))
 
 
 def _listed(words: list[str]) -> str:
