@@ -17,21 +17,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # runs from a clone without 
 
 import matplotlib
 import numpy as np
-from fidelity_flights import (
-    SCENES,
-    TICK,
-    TRACK,
-    OurPilot,
-    Plant,
-    Scene,
-    Se3Pilot,
-    bare,
-    fly_on_rotorpy,
-    fly_ours,
-    open_loop,
-    shaped,
-    wind_force,
-)
+from fidelity_flights import SCENES, TICK, TRACK, Scene, fly_ours, wind_force
+from fidelity_rotorpy import OurPilot, Plant, Se3Pilot, bare, fly_on_rotorpy, open_loop, shaped
 from matplotlib.axes import Axes
 
 from fovconn_env import Airframe
