@@ -14,8 +14,10 @@ import ast
 import functools
 import hashlib
 import os
+import shutil
 import site
 import stat
+import subprocess
 import sys
 import sysconfig
 import threading
@@ -120,6 +122,15 @@ def torn(files: Mapping[str, str]) -> list[str]:
 def _name(path: str) -> str:
     """A path as a user in the current folder would write it."""
     return path.removeprefix(os.path.join(os.path.realpath("."), ""))
+
+
+def commit() -> str:
+    """The commit of the source, "" outside a git repository, and where there is no git."""
+    if shutil.which("git") is None:
+        return ""
+    here = Path(__file__).parent
+    task = subprocess.run(["git", "rev-parse", "--short=12", "HEAD"], cwd=here, capture_output=True, text=True)
+    return task.stdout.strip()
 
 
 # --------------------------------------------------------------------------------------------- in a process that flies

@@ -7,8 +7,6 @@ import io
 import json
 import re
 import shlex
-import shutil
-import subprocess
 import sys
 import tempfile
 import time
@@ -45,6 +43,7 @@ from fovconn_env.scenarios.serialize import scenario_to_json
 from fovconn_env.training.evaluation import evaluate, summary
 from fovconn_env.training.evaluation.folders import claimed
 from fovconn_env.training.evaluation.interruption import Interrupted, noted_interruption
+from fovconn_env.training.evaluation.provenance import commit
 from fovconn_env.training.learn.checkpoints import below, check_tensors, counters, optimizer_state
 from fovconn_env.training.learn.model import Network, weights
 from fovconn_env.training.learn.origin import check_origin, check_recipe, code, versions
@@ -327,12 +326,3 @@ def check_finite(algorithm: Algorithm, place: Path) -> None:
     fine = all(bool(torch.isfinite(p).all()) for p in algorithm.policy.parameters())
     hint = f"lower the learning rate; the last good checkpoint is {place}"
     rule(fine, f"weights after {algorithm.steps} steps", "finite", "NaN or infinity", hint)
-
-
-def commit() -> str:
-    """The commit of the source, "" outside a git repository, and where there is no git."""
-    if shutil.which("git") is None:
-        return ""
-    here = Path(__file__).parent
-    task = subprocess.run(["git", "rev-parse", "--short=12", "HEAD"], cwd=here, capture_output=True, text=True)
-    return task.stdout.strip()
