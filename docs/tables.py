@@ -11,6 +11,7 @@ In README.md and docs/*.md a table stands between `<!-- KIND:NAME -->` and `<!--
 - `quickstart`: `spread`, a table, or `line`, a sentence in docs/quickstart.ipynb, of docs/quickstart.json, which
   docs/quickstart_spread.py writes
 - `fidelity`: `flights` or `causes` of docs/fidelity.json, which docs/fidelity.py writes
+- `tasks`: the tasks of a suite, `tasks:hard-v1`
 - `layout`: a table of `fovconn_env.layout`, or `scales`, what the named bounds are
 - `settings`: fields of a settings class, with their bounds
 - `keys`: one group of the keys of `fovconn play`, `mouse` or `gamepad`
@@ -29,16 +30,18 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # runs from a clone without an install, too
 
-from fovconn_env import Corridor, Forest, Scenario, layout
+from fovconn_env import Corridor, Forest, Scenario, layout, scenario
 from fovconn_env.baselines import Gains
 from fovconn_env.bounds import default_of, words_of
 from fovconn_env.files import write_text
 from fovconn_env.layout import Column
 from fovconn_env.scenarios import settings
+from fovconn_env.scenarios.hard import TASKS
 from fovconn_env.training.bench.report import bar_table, machine_line, rate_table, restless
 from fovconn_env.training.evaluation import tables
+from fovconn_env.training.evaluation.campaign import SUITES
 from fovconn_env.training.evaluation.record import Record, load
-from fovconn_env.training.evaluation.text import Table, markdown
+from fovconn_env.training.evaluation.text import Table, markdown, settings_in_words
 from fovconn_env.training.play import gamepad, keyboard
 
 ROOT = Path(__file__).parents[1]
@@ -98,7 +101,7 @@ _MARKED = re.compile(r"(<!-- (\w+):([\w -]+?) -->\n).*?(<!-- end -->)", re.DOTAL
 def rendered(text: str) -> str:
     """A page with its generated tables made anew."""
     kinds = {"layout": layout_table, "settings": settings_table, "keys": keys_table, "fidelity": fidelity_table}
-    kinds |= {"quickstart": quickstart_table, "results": results_table, "five": five_table}
+    kinds |= {"quickstart": quickstart_table, "results": results_table, "five": five_table, "tasks": tasks_table}
     for kind, file in (("bench", "benchmark.json"), ("speed", "speed.json")):
         kinds[kind] = functools.partial(bench_table, file)
     return _MARKED.sub(lambda place: f"{place[1]}\n{kinds[place[2]](place[3])}\n\n{place[4]}", text)
@@ -159,6 +162,17 @@ def settings_table(name: str) -> str:
         limits = [f"`{bounds}`", bounds.why] if bounds else ["", ""]
         rows.append([f"`{field.name}`", f"`{default}`", limits[0], _literal(words), limits[1]])
     return markdown((["setting", "default", "bounds", "unit and meaning", "why these bounds"], rows))
+
+
+def tasks_table(name: str) -> str:
+    """The Markdown table of the tasks of a suite: each with its base, its level, and the settings changed there."""
+    rows = []
+    for task in SUITES[name].scenarios:
+        base, level, _, summary = TASKS[task]
+        changed = settings_in_words(scenario(task), scenario(base, level=level))
+        words = " ".join(f"`{setting}={value}`" for setting, value in changed.items()) or "-"
+        rows.append([f"`{task}`", summary, base, f"{level}", words])
+    return markdown((["task", "what is hard", "preset", "level", "settings changed there"], rows))
 
 
 def quickstart_table(name: str) -> str:

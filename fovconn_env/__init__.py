@@ -19,7 +19,7 @@ from fovconn_env.maps.corridor import Corridor
 from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios.leader import Recorded
-from fovconn_env.scenarios.presets import LEVELS, PRESETS, scenario
+from fovconn_env.scenarios.presets import HARD, LEVELS, PRESETS, scenario
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.scenarios.settings import (
     Airframe,
@@ -41,6 +41,7 @@ from fovconn_env.sim.simulator import Simulator
 from fovconn_env.version import __version__
 
 __all__ = [
+    "HARD",
     "LEVELS",
     "PRESETS",
     "Airframe",
@@ -75,11 +76,11 @@ __all__ = [
 ]
 
 if hasattr(pettingzoo, "register"):  # from PettingZoo 1.27 on
-    for _name in PRESETS:
+    for _name in (*PRESETS, *HARD):
         pettingzoo.register("parallel", f"fovconn/{_name}", partial(parallel_env, _name))
         pettingzoo.register("aec", f"fovconn/{_name}", partial(env, _name))
 
-for _name in PRESETS:
+for _name in (*PRESETS, *HARD):
     gymnasium.register(
         f"fovconn/{_name}",
         entry_point="fovconn_env.envs.joint:JointEnv",

@@ -1,4 +1,4 @@
-"""The scenarios by name, and their levels."""
+"""The scenarios by name, their levels, and the tasks of the hard suite."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from fovconn_env.errors import SettingError, SettingTypeError, closest, rule, sh
 from fovconn_env.maps.corridor import Corridor
 from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map
+from fovconn_env.scenarios.hard import TASKS
 from fovconn_env.scenarios.keywords import Part, ScenarioSettings
 from fovconn_env.scenarios.leader import Recorded
 from fovconn_env.scenarios.reader import read_group, read_number
@@ -134,10 +135,15 @@ LEVELS: dict[str, tuple[dict[str, Any], ...]] = {
 }
 
 
+HARD: dict[str, Scenario] = {}  # the tasks of `hard.TASKS`, made below
+
+
 def scenario(
     base: str | Scenario | Part = "LeaderFollow-v0", /, *, level: int = 1, **settings: Unpack[ScenarioSettings]
 ) -> Scenario:
-    """A preset by id (with or without "fovconn/"), at a level of `LEVELS`, or a `Scenario`, with settings changed.
+    """A scenario by id (with or without "fovconn/"), or a `Scenario`, with settings changed.
+
+    An id names a preset, at a level of `LEVELS`, or a task of `HARD`.
 
     One setting of a group goes by its dotted name: `scenario("LeaderFollow-v0", **{"camera.a_min": 0.5})`; a map and a
     leader may be the name of a file (`Map.from_file`, `Recorded.from_file`), or a mapping of their arguments with the
@@ -149,12 +155,12 @@ def scenario(
     """
     changes: dict[str, Any] = dict(settings)
     if isinstance(base, str):
-        name = base.removeprefix("fovconn/")
-        if name not in PRESETS:
+        name, known = base.removeprefix("fovconn/"), PRESETS | HARD
+        if name not in known:
             raise SettingError(
-                f"scenario must be one of {', '.join(PRESETS)}, got {shown(base)}: {closest(name, tuple(PRESETS))}"
+                f"scenario must be one of {', '.join(known)}, got {shown(base)}: {closest(name, tuple(known))}"
             )
-        base = _at_level(PRESETS[name], level)
+        base = _at_level(known[name], level)
     else:
         if not isinstance(base, (Scenario, Mapping)):
             hint = "scenario('LeaderFollow-v0')"
@@ -208,3 +214,6 @@ def _at_level(preset: Scenario, level: int) -> Scenario:
     hint = f"levels of {preset.name}: {len(changes) + 1}"
     rule(bool(whole and 1 <= level <= len(changes) + 1), "level", levels, level, hint)
     return preset if level == 1 else dataclasses.replace(preset, **changes[level - 2])
+
+
+HARD |= {name: scenario(task.base, level=task.level, name=name, **task.settings) for name, task in TASKS.items()}

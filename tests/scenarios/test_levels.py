@@ -1,16 +1,20 @@
-"""Presets and their levels: every one starts, and levels differ."""
+"""Presets, their levels and the hard tasks: every one starts, and all differ."""
 
+import dataclasses
 import json
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
 
 import fovconn_env
-from fovconn_env import LEVELS, PRESETS, Map, Scenario, Simulator, scenario
+from fovconn_env import HARD, LEVELS, PRESETS, Map, Scenario, Simulator, scenario
+from fovconn_env.scenarios.hard import TASKS
 from fovconn_env.sim.starts import StartSampler, check_clearance
 
 ALL = [(name, level) for name in PRESETS for level in range(1, len(LEVELS.get(name, ())) + 2)]
+ALL += [(name, 1) for name in HARD]
 
 
 @pytest.mark.parametrize("name, level", ALL)
@@ -64,6 +68,31 @@ def test_settings_go_on_top_of_a_level():
     assert env.scenario == scenario("ScaleUp-v0", level=3, warmup=0.0)
 
 
+def test_a_hard_task_is_its_base_with_its_settings_under_its_own_name():
+    assert list(HARD) == list(TASKS)
+    for name, task in TASKS.items():
+        base = scenario(task.base, level=task.level)
+        assert HARD[name] == scenario(name) == scenario(f"fovconn/{name}") == scenario(base, name=name, **task.settings)
+        assert HARD[name].name == name
+        assert task.settings or task.level > 1
+    chosen = list(HARD.values()) + [scenario(name, level=level) for name, level in ALL if name in PRESETS]
+    bare = [dataclasses.replace(each, name="Custom-v0") for each in HARD.values()]
+    assert len(set(bare)) == len(bare)
+    assert len({each.name for each in chosen}) == len(HARD) + len(PRESETS)
+    assert not set(HARD) & set(PRESETS)
+
+
+def test_every_constructor_takes_a_hard_task():
+    name, settings = "HardLost-v1", {"warmup": 0.0, "max_cycles": 5}
+    wanted = scenario(name, **settings)
+    assert [fault.kind for fault in wanted.faults] == ["robot", "robot", "radio"]
+    assert fovconn_env.parallel_env(name, **settings).scenario == wanted
+    assert gymnasium.make(f"fovconn_env:fovconn/{name}", **settings).unwrapped.scenario == wanted
+    batch = gymnasium.make_vec(f"fovconn_env:fovconn/{name}", num_envs=2, **settings)
+    assert batch.unwrapped.scenario == wanted
+    batch.close()
+
+
 @pytest.mark.parametrize(
     "base, level, message",
     [
@@ -74,6 +103,7 @@ def test_settings_go_on_top_of_a_level():
         ("Mix-v0", True, "level must be 1 to 2, got True"),
         ("Mix-v0", "hard", "level must be 1 to 2, got 'hard'"),
         ("Regroup-v0", 2, "level must be 1, got 2: levels of Regroup-v0: 1"),
+        ("HardGap-v1", 2, "level must be 1, got 2: levels of HardGap-v1: 1"),
         (Scenario(), 2, "level must go with an id, got 2 with a Scenario"),
     ],
 )

@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fovconn_env import PRESETS, scenario
-from fovconn_env.baselines import POLICIES
+from fovconn_env import HARD, PRESETS, scenario
+from fovconn_env.baselines import ORACLES, POLICIES
 from fovconn_env.errors import SettingError
 from fovconn_env.training.evaluation import campaign, evaluate
-from fovconn_env.training.evaluation.campaign import fly_cells, parse_seeds, suite
+from fovconn_env.training.evaluation.campaign import fly_cells, parse_seeds, seeds_of, suite
+from fovconn_env.training.evaluation.record import load
 from fovconn_env.training.evaluation.shelf import Cell, Shelf, code_hash, fingerprint
 
 ROOT = Path(__file__).parents[2]
@@ -215,8 +216,51 @@ def test_suites():
     assert suite("full")[1] == list(PRESETS)
     assert seeds == suite("full")[2][:32]
     assert suite("full")[2] == list(range(320))
-    with pytest.raises(SettingError, match="suite must be one of quick, full, got 'fast'"):
+    assert suite("hard") == suite("hard-v1") == ([*POLICIES, *ORACLES], list(HARD), list(range(320)))
+    assert suite("hard", ["mine.py"], ["oracle-planner"])[0] == ["oracle-planner", "mine.py"]
+    with pytest.raises(SettingError, match="--only must be a policy or a scenario of the suite quick"):
+        suite("quick", [], ["oracle-planner"])
+    assert seeds_of(scenario("ScaleUp-v0", level=4), range(320)) == list(range(64))
+    assert seeds_of(scenario("ScaleUp-v0", level=3), range(320)) == list(range(320))
+    with pytest.raises(SettingError, match="suite must be one of quick, full, hard-v1, hard, got 'fast'"):
         suite("fast")
+
+
+def test_cells_fly_seeds_of_their_own(blocks, tmp_path):
+    """Each its own, in their order; what is kept counts for the cells that want it."""
+    seeds = {CELLS[0]: [3, 0, 1], CELLS[1]: [2], CELLS[2]: [5, 4]}
+    told, said = [], []
+    fly_cells(CELLS[:1], [0, 7], folder=tmp_path, processes=1)
+    results = fly_cells(CELLS, seeds, folder=tmp_path, processes=1, progress=told.append, say=said.append)
+    assert [result.seeds for result in results] == list(seeds.values())
+    assert [result.reused and result.reused.count for result in results] == [1, None, None]
+    assert said == [line for line in said if line.startswith("1 episode reused")] != []
+    assert (min(told) >= 1, told[-1]) == (True, 6)
+    for result, cell in zip(results, CELLS, strict=True):
+        same(result._replace(reused=None), evaluate(cell.policy, cell.scenario, seeds[cell]))
+
+
+def test_large_teams_of_a_suite_fly_fewer_seeds(fovconn, undrawn, monkeypatch):
+    """The record has the longest list of seeds, of which each result has the first; given seeds are for all."""
+    tasks = "LeaderFollow-v0", "ScaleUp-v0"
+    monkeypatch.setitem(campaign.SUITES, "hard-v1", campaign.Suite(tasks, range(3)))
+    monkeypatch.setattr(campaign, "LARGE", 3)
+    monkeypatch.setattr(campaign, "FEW", 2)
+    tiny = ("--only", "expert", "--set", "max_cycles=3", "--set", "warmup=0.1", "--processes", "1")
+    assert fovconn("eval", "--suite", "hard", *tiny, "--out", "all").status == 0
+    monkeypatch.setattr(campaign, "LARGE", 6)
+    shown = fovconn("eval", "--suite", "hard", *tiny, "--out", "some")
+    assert shown.status == 0
+    assert "LeaderFollow-v0, 2 seeds" in shown.out
+    assert "ScaleUp-v0, 3 seeds" in shown.out
+    assert fovconn("eval", "--suite", "hard", *tiny, "--seeds", "0-3", "--out", "given").status == 0
+    found = {name: load(Path(name) / "results.json") for name in ("all", "some", "given")}
+    assert {name: [result.count for result in record.results] for name, record in found.items()} == {
+        "all": [2, 2],
+        "some": [2, 3],
+        "given": [4, 4],
+    }
+    assert [record.seeds for record in found.values()] == [[0, 1], [0, 1, 2], [0, 1, 2, 3]]
 
 
 def test_a_suite_can_be_restricted():

@@ -14,6 +14,7 @@ from fovconn_env import LEVELS, PRESETS, files, fovconn_v0
 from fovconn_env.baselines import POLICIES
 from fovconn_env.errors import EXTRAS, FovconnError, MachineError, MissingPackage, PolicyError, SettingTypeError
 from fovconn_env.flights import recording
+from fovconn_env.scenarios.hard import TASKS
 from fovconn_env.training.commands import bench
 
 ROOT = Path(__file__).parents[2]
@@ -225,4 +226,7 @@ def test_the_list_has_all_there_is(fovconn):
     for name in POLICIES:
         [line] = [line for line in lines if line.startswith(f"  {name} ")]
         assert line.rstrip().endswith(".")
-    assert [line.split()[0] for line in lines[lines.index("suites") + 1 :][:2]] == ["quick", "full"]
+    assert [line.split()[0] for line in lines[lines.index("suites") + 1 :][:3]] == ["quick", "full", "hard-v1"]
+    for name, task in TASKS.items():
+        [line] = [line for line in lines if line.startswith(f"  {name} ")]
+        assert line.endswith(f"  {task.summary}")

@@ -74,7 +74,7 @@ KEYS = ("cold", "demo", "eval", "suite")
 def waits(base: str) -> list[Wait]:
     """What can be timed, in the order of `KEYS`; base: the preset of the first step."""
     python = [sys.executable, "-P", "-c"]
-    scenarios, seeds = SUITES["quick"]
+    scenarios, seeds, _ = SUITES["quick"]
     cells = [("--policy", policy) for policy in FLOWN] + [("--scenario", scenario) for scenario in scenarios]
     words = [*itertools.chain(*cells), "--seeds", f"{seeds[0]}-{seeds[-1]}"]
     evaluate = [*python, COMMAND, "eval", *words, "--out", "out"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from fovconn_env.training.commands.screen import err, progress, warm_up
@@ -14,8 +14,8 @@ from fovconn_env.training.evaluation.shelf import Cell
 
 def fly_all(
     cells: list[Cell],
-    seeds: list[int],
-    folder: Path,
+    seeds: Mapping[Cell, Sequence[int]],
+    folder: Path | None,
     processes: int | None,
     fresh: bool,
     recordings: Path | None = None,
@@ -23,9 +23,9 @@ def fly_all(
 ) -> tuple[list[Evaluation], float]:
     """Evaluations of the cells, and the seconds they took, with a progress bar.
 
-    recordings, complete: as of `fly_cells`.
+    folder: has or gets the folder of the episodes; seeds, recordings, complete: as of `fly_cells`.
     """
-    began, total = time.perf_counter(), len(cells) * len(seeds)
+    began, total = time.perf_counter(), sum(len(seeds[cell]) for cell in cells)
     with progress() as bar:
         task = bar.add_task(f"{total} episodes", total=total, start=False)
 
@@ -36,7 +36,7 @@ def fly_all(
         results = fly_cells(
             cells,
             seeds,
-            folder=folder / "episodes",
+            folder=folder / "episodes" if folder is not None else None,
             fresh=fresh,
             recordings=recordings,
             processes=processes,

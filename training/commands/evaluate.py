@@ -24,7 +24,14 @@ from fovconn_env.training.commands.options import (
     parse,
 )
 from fovconn_env.training.commands.screen import err, grid, measures, out, say_replaced, say_written, width
-from fovconn_env.training.evaluation.campaign import DEV_SEEDS, check_labels, parse_seeds, recording_file, suite
+from fovconn_env.training.evaluation.campaign import (
+    DEV_SEEDS,
+    check_labels,
+    parse_seeds,
+    recording_file,
+    seeds_of,
+    suite,
+)
 from fovconn_env.training.evaluation.draft import Draft
 from fovconn_env.training.evaluation.folders import claimed
 from fovconn_env.training.evaluation.record import Record, to_json, write_json
@@ -46,7 +53,9 @@ def command(
     suite_name: Annotated[
         str | None,
         typer.Option(
-            "--suite", help="quick or full: all policies (and those given) on four scenarios, 32 seeds, or on all, 320."
+            "--suite",
+            help="quick, full or hard: all policies (and those given) on four scenarios, 32 seeds; on all, 320; or on "
+            "the tasks of hard-v1, 320, teams of 24 or more 64.",
         ),
     ] = None,
     only: Annotated[
@@ -56,7 +65,9 @@ def command(
             help="Of the suite, fly this policy or scenario alone, beside every --policy; repeatable.",
         ),
     ] = None,
-    seeds: Annotated[str | None, typer.Option(help="Seeds: 0-319, 7 or 0-31,100-131.  [default: 0-319]")] = None,
+    seeds: Annotated[
+        str | None, typer.Option(help="Seeds: 0-319, 7 or 0-31,100-131.  [default: 0-319, or the suite's]")
+    ] = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder for report, JSON and episodes.")] = OUT / "eval",
     processes: Processes = None,
     fresh: Fresh = False,
@@ -76,10 +87,11 @@ def command(
     if suite_name is not None:
         chosen, names, numbers = suite(suite_name, policies or (), only or ())
     chosen = list(dict.fromkeys(chosen))
-    numbers = parse_seeds(seeds) if seeds is not None else numbers
+    given = parse_seeds(seeds) if seeds is not None else None
     changes = parse(settings)
     scenarios = [scenario(name, **changes) for name in dict.fromkeys(scenario_names or names)]
     cells = [Cell(policy, task) for task in scenarios for policy in chosen]
+    flights = {cell: given or (seeds_of(cell.scenario, numbers) if suite_name else numbers) for cell in cells}
     for cell in cells:
         find_pilot(cell.policy).equip(cell.scenario)
     check_labels(cells)
@@ -87,9 +99,9 @@ def command(
     check_folder(recordings, "--record")
     check_writable({"--json": json_file})
     if recordings is not None:
-        check_new("--record", [recording_file(recordings, cell, seed) for cell in cells for seed in numbers], fresh)
+        check_new("--record", [recording_file(recordings, *flight) for flight in _each(flights)], fresh)
     with claimed(folder), Draft(chosen, changes, folder) as draft:
-        results, seconds = fly_all(cells, numbers, folder, processes, fresh, recordings, draft.add)
+        results, seconds = fly_all(cells, flights, folder, processes, fresh, recordings, draft.add)
         say_replaced(folder / "results.json")
         with err.status("writing the report"):
             record, written = publish(results, chosen, changes, folder, seconds, draft)
@@ -100,17 +112,21 @@ def command(
     written += [write_json(json_file, to_json(record.short()))] if json_file is not None else []
     say_written([file for file in written if file.suffix != ".png"])
     if recordings is not None:
-        count = len(cells) * len(numbers)
-        out.print(f"recorded {count} flights in {recordings}", highlight=False, soft_wrap=True)
+        out.print(f"recorded {len(_each(flights))} flights in {recordings}", highlight=False, soft_wrap=True)
     if not any(file.suffix == ".html" for file in written):
         out.print('no report: it needs matplotlib, pip install "fovconn-env[render]"', style="yellow", markup=False)
+
+
+def _each(flights: dict[Cell, list[int]]) -> list[tuple[Cell, int]]:
+    """All flights one by one."""
+    return [(cell, seed) for cell, seeds in flights.items() for seed in seeds]
 
 
 def _show(record: Record) -> None:
     """Policies side by side, scenario by scenario and over all."""
     tables = {}
-    for name in dict.fromkeys(result.scenario for result in record.results):
-        tables[f"{name}, {len(record.seeds)} seeds"] = scenario_table(record, name)
+    for name, count in {result.scenario: result.count for result in record.results}.items():
+        tables[f"{name}, {count} seeds"] = scenario_table(record, name)
     if len(tables) > 1:
         tables["over all scenarios"] = overall_table(record)
     wide = all(width(*table) <= out.width for table in tables.values())

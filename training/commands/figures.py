@@ -135,7 +135,7 @@ def _draw_ablations(folder: Path, seeds: str, processes: int | None, fresh: bool
     study = ablations.study(parse_seeds(seeds))
     cells = list(dict.fromkeys(task.cell() for task in study.tasks))
     with claimed(folder):
-        evaluations, seconds = fly_all(cells, list(study.seeds), folder, processes, fresh)
+        evaluations, seconds = fly_all(cells, dict.fromkeys(cells, study.seeds), folder, processes, fresh)
         result = record(study, dict(zip(cells, evaluations, strict=True)), seconds).short()
         out.print(grid(f"ablations on {ablations.BASE}, {len(study.seeds)} seeds", *ablation_table(result)))
         written = [draw(result, folder / "ablations.png", f"{ablations.BASE}, seeds {seeds}, 95 % intervals")]

@@ -9,19 +9,23 @@ from fovconn_env import LEVELS, PRESETS
 from fovconn_env.baselines import ORACLES, POLICIES, find_pilot
 from fovconn_env.baselines.learned.cards import read_card
 from fovconn_env.baselines.learned.policy import Learned
+from fovconn_env.scenarios.hard import TASKS
 from fovconn_env.scenarios.presets import SUMMARIES
 from fovconn_env.training.commands.screen import out
 from fovconn_env.training.evaluation.campaign import SUITES
+
+_GROUPS = {tuple(PRESETS): "all scenarios", tuple(TASKS): "all hard tasks"}
 
 
 def command() -> None:
     """List the scenarios with their levels, the policies, and the suites of `fovconn eval`."""
     levels = {name: f"levels 1-{len(LEVELS[name]) + 1}" if name in LEVELS else "" for name in PRESETS}
     _say("scenarios", [(name, levels[name], SUMMARIES[name]) for name in PRESETS])
+    _say("hard tasks", [(name, "", task.summary) for name, task in TASKS.items()])
     _say("policies", [(name, "oracle" * kind.oracle, _purpose(name)) for name, kind in (POLICIES | ORACLES).items()])
     suites = []
-    for name, (scenarios, seeds) in SUITES.items():
-        which = "all scenarios" if len(scenarios) == len(PRESETS) else ", ".join(scenarios)
+    for name, (scenarios, seeds, _) in SUITES.items():
+        which = _GROUPS.get(scenarios) or ", ".join(scenarios)
         suites.append((name, "", f"all policies on {which}, {len(seeds)} seeds each"))
     _say("suites", suites)
     out.print("a level or a setting: --set level=2, --set n_agents=4; a policy of your own: --policy file.py:Class")

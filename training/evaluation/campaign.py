@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fovconn_env import PRESETS, Recorder, Scenario
-from fovconn_env.baselines import POLICIES, find_pilot
+from fovconn_env import HARD, PRESETS, Recorder, Scenario
+from fovconn_env.baselines import ORACLES, POLICIES, find_pilot
 from fovconn_env.errors import MachineError, SettingError, closest, rule
 from fovconn_env.flights.rollout import started
 from fovconn_env.sim.seeds import MAX_SEED
@@ -27,9 +27,25 @@ from fovconn_env.training.evaluation.workers import Died, Watch, run_orders
 DEV_SEEDS = range(320)  # frozen: development; a held-out set is kept apart
 # as it is, sight hidden, parts that fail, a narrow field of view: each parts other policies
 QUICK = ("LeaderFollow-v0", "LeaderObstacles-v0", "Blackout-v0", "NarrowCamera-v0")
-SUITES = {"quick": (QUICK, DEV_SEEDS[:32]), "full": (tuple(PRESETS), DEV_SEEDS)}  # scenarios and seeds, of all policies
 MOST_SEEDS = 1_000_000  # in a part of a list
 BLOCK = 64  # episodes flown at once by a process
+
+
+class Suite(NamedTuple):
+    """What all policies fly."""
+
+    scenarios: tuple[str, ...]
+    seeds: Sequence[int]
+    ceiling: bool = False  # whether `ORACLES` fly it, too
+
+
+SUITES = {
+    "quick": Suite(QUICK, DEV_SEEDS[:32]),
+    "full": Suite(tuple(PRESETS), DEV_SEEDS),
+    "hard-v1": Suite(tuple(HARD), DEV_SEEDS, ceiling=True),
+}
+LATEST = {"hard": "hard-v1"}  # of what has versions
+LARGE, FEW = 24, 64  # robots of a team that flies a suite's first seeds alone, and how many
 
 
 class Order(NamedTuple):
@@ -44,19 +60,31 @@ class Order(NamedTuple):
 def suite(name: str, own: Sequence[str] = (), only: Sequence[str] = ()) -> tuple[list[str], list[str], list[int]]:
     """Policies, scenarios and seeds of a suite: all policies there are, and a user's `own`.
 
-    only: policies and scenarios to take of the suite; all policies, or all scenarios, if none is named. Raises
-    `SettingError` for an unknown suite, and for a name that is not in it.
+    name: of `SUITES`, or without its version; only: policies and scenarios to take of the suite; all policies, or all
+    scenarios, if none is named. Raises `SettingError` for an unknown suite, and for a name that is not in it.
     """
-    rule(name in SUITES, "suite", f"one of {', '.join(SUITES)}", name, "each flies all policies, --only some of them")
-    scenarios, seeds = SUITES[name]
+    scenarios, seeds, ceiling = SUITES[suite_name(name)]
     names = [word.removeprefix("fovconn/") for word in only]
+    every = [*POLICIES, *(ORACLES if ceiling else ())]
     for word in names:
-        known = (*POLICIES, *own, *scenarios)
+        known = (*every, *own, *scenarios)
         rule(word in known, "--only", f"a policy or a scenario of the suite {name}", word, closest(word, known))
-    some = any(word in (*POLICIES, *own) for word in names)
-    policies = [policy for policy in POLICIES if not some or policy in names]
+    some = any(word in (*every, *own) for word in names)
+    policies = [policy for policy in every if not some or policy in names]
     chosen = [each for each in scenarios if each in names] or list(scenarios)
     return list(dict.fromkeys([*policies, *own])), chosen, list(seeds)
+
+
+def suite_name(name: str) -> str:
+    """The suite that a name means, with its version; raises as `suite`."""
+    known = (*SUITES, *LATEST)
+    rule(name in known, "suite", f"one of {', '.join(known)}", name, "each flies all policies, --only some of them")
+    return LATEST.get(name, name)
+
+
+def seeds_of(scenario: Scenario, seeds: Sequence[int]) -> list[int]:
+    """Those of a suite's seeds that a scenario flies: a team of `LARGE` robots or more the first `FEW`."""
+    return list(seeds[:FEW] if scenario.n_agents >= LARGE else seeds)
 
 
 def parse_seeds(text: str) -> list[int]:
@@ -78,7 +106,7 @@ def parse_seeds(text: str) -> list[int]:
 
 def fly_cells(
     cells: Sequence[Cell],
-    seeds: Sequence[int],
+    seeds: Sequence[int] | Mapping[Cell, Sequence[int]],
     *,
     folder: Path | None = None,
     fresh: bool = False,
@@ -89,7 +117,7 @@ def fly_cells(
     complete: Callable[[list[Evaluation]], None] = lambda evaluations: None,
     begin: Callable[[], None] = lambda: None,
 ) -> list[Evaluation]:
-    """Fly every cell from every seed; results in the order of `cells`, whatever the number of processes.
+    """Fly every cell from all seeds, or from its own; results in the order of `cells`, whatever the processes.
 
     Episodes are kept in `folder` as they finish, and those found there that come from the same (`Shelf`) are not flown
     again, unless `fresh`. With a folder for `recordings` all are flown, and each is recorded there as
@@ -102,26 +130,28 @@ def fly_cells(
     leave what was finished in the folders.
     """
     check_labels(cells)
+    own = [list(seeds[cell] if isinstance(seeds, Mapping) else seeds) for cell in cells]
+    total = sum(map(len, own))
     with contextlib.ExitStack() as stack:
         if folder is not None:
             stack.enter_context(claimed(folder))
         shelf = Shelf(folder)
         done = [None if fresh else _take(shelf, cell, say) for cell in cells]
         before = [dict(kept.times) if kept and recordings is None else {} for kept in done]
-        orders = _orders(cells, seeds, before, recordings)
-        reused = [_reused(seeds, times) for times in before]
+        orders = _orders(cells, own, before, recordings)
+        reused = [_reused(numbers, times) for numbers, times in zip(own, before, strict=True)]
         if line := reuse_line(reused):
             say(line)
         left = Counter(order.cell.scenario.name for order in orders)
 
         def tell_complete(scenario: str) -> None:
-            flown = [done[k] for k, cell in enumerate(cells) if cell.scenario.name == scenario]
-            complete([in_order(each.evaluation, seeds) for each in flown if each is not None])
+            flown = [(done[k], own[k]) for k, cell in enumerate(cells) if cell.scenario.name == scenario]
+            complete([in_order(each.evaluation, numbers) for each, numbers in flown if each is not None])
 
         for name in dict.fromkeys(cell.scenario.name for cell in cells):
             if not left[name]:
                 tell_complete(name)
-        n_kept = len(seeds) * len(cells) - sum(len(order.seeds) for order in orders)
+        n_kept = total - sum(len(order.seeds) for order in orders)
 
         def keep(number: int, result: tuple[Evaluation, Files]) -> None:
             order, (part, files) = orders[number], result
@@ -140,17 +170,17 @@ def fly_cells(
                 n_processes = processes or available_cores()
                 _fly(orders, n_processes, keep, lambda n: progress and progress(n_kept + n), say, begin)
         except Interrupted as signal:
-            kept = sum(len(set(seeds) & flown.times.keys()) for flown in done if flown is not None)
+            kept = sum(len(set(own[k]) & flown.times.keys()) for k, flown in enumerate(done) if flown is not None)
             where = f"are kept in {folder}" if folder else "were finished"
             where += ", the same command goes on from there" if folder and recordings is None else ""
-            text = f"interrupted: {kept} of {len(seeds) * len(cells)} episodes {where}"
+            text = f"interrupted: {kept} of {total} episodes {where}"
             raise Interrupted(text, signal.number) from None
         finally:
             if recordings is not None and recordings.is_dir():
                 sweep(recordings)
         return [
-            in_order(flown.evaluation, seeds)._replace(reused=part, changed=tuple(changed(flown.files)))
-            for flown, part in zip(done, reused, strict=True)
+            in_order(flown.evaluation, numbers)._replace(reused=part, changed=tuple(changed(flown.files)))
+            for flown, part, numbers in zip(done, reused, own, strict=True)
             if flown is not None
         ]
 
@@ -173,12 +203,15 @@ def _reused(seeds: Sequence[int], before: Mapping[int, int]) -> Reused | None:
 
 
 def _orders(
-    cells: Sequence[Cell], seeds: Sequence[int], kept: Sequence[Mapping[int, int]], recordings: Path | None
+    cells: Sequence[Cell], seeds: Sequence[Sequence[int]], kept: Sequence[Mapping[int, int]], recordings: Path | None
 ) -> list[Order]:
-    """Blocks still to be flown, those that take longest first; blocks of the same start one after another."""
+    """Blocks still to be flown, those that take longest first; blocks of the same start one after another.
+
+    seeds: of each cell.
+    """
     orders = []
-    for k, (cell, there) in enumerate(zip(cells, kept, strict=True)):
-        missing = [seed for seed in seeds if seed not in there]
+    for k, (cell, numbers, there) in enumerate(zip(cells, seeds, kept, strict=True)):
+        missing = [seed for seed in numbers if seed not in there]
         blocks = [missing[first : first + BLOCK] for first in range(0, len(missing), BLOCK)]
         orders += [Order(k, cell, block, recordings) for block in blocks]
     first = dict[Any, int]()  # order of each start

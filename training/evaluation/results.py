@@ -71,7 +71,8 @@ def record_of(comparison: Comparison, policies: Mapping[str, Mapping[str, Any]])
     scenarios = {each.scenario.name: scenario_to_json(each.scenario) for each in evaluations}
     results = [compared.result for compared in comparison.compared.values()]
     kinds = {policy: dict(policies[policy]) for policy in comparison.policies}
-    return Record("eval", list(evaluations[0].seeds), kinds, results, comparison.overall, scenarios)
+    seeds = max((each.seeds for each in evaluations), key=len)  # others have the first of them
+    return Record("eval", list(seeds), kinds, results, comparison.overall, scenarios)
 
 
 def _head(record: Record, settings: Mapping[str, Any], policies: Sequence[str]) -> dict[str, str]:

@@ -40,18 +40,10 @@ class Study(NamedTuple):
 
 def fly(study: Study, folder: Path, progress: Callable[[float, int], None]) -> dict[Cell, Evaluation]:
     """Evaluations of all that a study flies; `progress` is told the number of episodes done, and of how many."""
-    counts = {task.cell(): task.count for task in study.tasks}
-    flown: dict[Cell, Evaluation] = {}
-    for count in dict.fromkeys(counts.values()):
-        cells = [cell for cell in counts if counts[cell] == count]
-        before = sum(counts[cell] for cell in flown)
-
-        def add(done: float, before: int = before) -> None:
-            progress(before + done, sum(counts.values()))
-
-        evaluations = fly_cells(cells, study.seeds[:count], folder=folder, progress=add)
-        flown.update(zip(cells, evaluations, strict=True))
-    return flown
+    seeds = {task.cell(): study.seeds[: task.count] for task in study.tasks}
+    total = sum(map(len, seeds.values()))
+    evaluations = fly_cells(list(seeds), seeds, folder=folder, progress=lambda done: progress(done, total))
+    return dict(zip(seeds, evaluations, strict=True))
 
 
 def record(study: Study, flown: Mapping[Cell, Evaluation], seconds: float) -> Record:
