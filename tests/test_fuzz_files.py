@@ -14,8 +14,9 @@ from fovconn_env import Fault, Map, Recorder, Simulator, scenario
 from fovconn_env.errors import SettingError
 from fovconn_env.files import RECORDING, Archive, Damaged, Kind, OtherKind, parse_archive, parse_json, write_archive
 from fovconn_env.flights import recording
-from fovconn_env.training.evaluation import evaluate, record, shelf
+from fovconn_env.training.evaluation import evaluate, leaderboard, record, shelf, submission
 from fovconn_env.training.evaluation.episode_checks import check_file
+from fovconn_env.training.evaluation.leaderboard_tables import leaderboard_tables
 from fovconn_env.training.learn import datasets
 from tests.fuzzing import count
 
@@ -57,7 +58,12 @@ def files(tmp_path_factory):
         "rows/0/generators": np.array(["{}", ""]),
         "rows/0/x": np.zeros(3, "i8"),
     }
+    made = submission.submission("expert", {"full": [flown]}, {}, 1.0)._replace(
+        files={"a.py": b"x = 1", "b/c.npy": b"123"}
+    )
+    submission.save(made, folder / "submission.npz")
     return {
+        submission.SUBMISSION: (folder / "submission.npz").read_bytes(),
         RECORDING: (folder / "flight.npz").read_bytes(),
         datasets.KIND: episodes.read_bytes(),
         shelf.EVALUATION: written(folder, shelf.EVALUATION, Archive(header, {**times, **flown.episodes})),
@@ -65,7 +71,8 @@ def files(tmp_path_factory):
     }
 
 
-KINDS = pytest.mark.parametrize("kind", [RECORDING, datasets.KIND, shelf.EVALUATION, CHECKPOINT], ids=lambda k: k.name)
+ALL = [RECORDING, datasets.KIND, shelf.EVALUATION, submission.SUBMISSION, CHECKPOINT]
+KINDS = pytest.mark.parametrize("kind", ALL, ids=lambda k: k.name)
 
 
 def told(archive):
@@ -199,7 +206,14 @@ def read_finished(header, arrays):
     check_file(read_again(header), arrays, "file.npz")
 
 
+def read_submission(header, arrays):
+    made = submission.from_archive(Archive(read_again(header), arrays), "file.npz")
+    assert all(isinstance(data, bytes) for data in made.files.values())
+    leaderboard_tables(leaderboard.ranked([made], {"suites": made.suites}))
+
+
 READERS = {
+    "submission": (read_submission, (Damaged,)),
     "file of finished episodes": (read_finished, (Damaged,)),
     "recording": (read_recording, (Damaged, recording.OtherVersion)),
     "data set": (read_data_set, (Damaged, SettingError)),
@@ -257,7 +271,7 @@ NUMBERS = [np.nan, np.inf, -1.0, 1e30, 2.0**62, -(2.0**62), 7.0]
 
 
 @pytest.mark.fuzz
-@pytest.mark.parametrize("name", ["recording", "data set", "file of finished episodes"])
+@pytest.mark.parametrize("name", ["recording", "data set", "file of finished episodes", "submission"])
 def test_arrays_that_are_wrong(name, contents):
     """Of other types and shapes, with numbers of all kinds, missing, or with others' names."""
     (header, arrays), rng, (read, errors) = contents[name], random.Random(4), READERS[name]

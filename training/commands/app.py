@@ -13,7 +13,18 @@ import typer
 
 import fovconn_env
 from fovconn_env.errors import FovconnError, PolicyError, missing_package, place_of
-from fovconn_env.training.commands import bench, demo, evaluate, figures, listing, play, replay, train
+from fovconn_env.training.commands import (
+    bench,
+    demo,
+    evaluate,
+    figures,
+    leaderboard,
+    listing,
+    play,
+    replay,
+    submit,
+    train,
+)
 from fovconn_env.training.commands.screen import err, out, say_error
 from fovconn_env.training.evaluation.interruption import Interrupted, raised_interruption
 
@@ -33,6 +44,8 @@ _COMMANDS = {
     "play": play,
     "replay": replay,
     "figures": figures,
+    "submit": submit,
+    "leaderboard": leaderboard,
     "bench": bench,
 }
 for _name, _module in _COMMANDS.items():

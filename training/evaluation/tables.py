@@ -8,6 +8,7 @@ from pathlib import Path
 from fovconn_env import Scenario, scenario
 from fovconn_env.training.evaluation.ablations import PANELS
 from fovconn_env.training.evaluation.comparison import EXPERT
+from fovconn_env.training.evaluation.leaderboard_tables import leaderboard_tables
 from fovconn_env.training.evaluation.learned import ROWS, Row
 from fovconn_env.training.evaluation.record import Record, Result
 from fovconn_env.training.evaluation.text import (
@@ -210,6 +211,7 @@ _STUDIES: dict[str, Callable[[Record], dict[str, Table]]] = {
     "levels": _level_tables,
     "learned": lambda record: {name: learned_table(record, rows) for name, rows in ROWS.items()},
     "ablations": lambda record: {"points": ablation_table(record)},
+    "leaderboard": leaderboard_tables,
 }
 
 
