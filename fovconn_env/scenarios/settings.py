@@ -214,8 +214,16 @@ class Start:
     )
     spacing: float = number(1.5, 1e-5, 1000.0, "m, least distance of centres", LENGTH)
     clearance: float = number(1.5, 0, 1000.0, "m, least distance to an obstacle", LENGTH)
-    lambda2_low: float = number(0.15, 0, MAX_AGENTS, "lambda2 is above", "lambda2 of a team of N is at most N")
-    lambda2_high: float = number(math.inf, 1e-6, 1e9, "lambda2 is below", "a team at 0 is split", infinite=True)
+    lambda2_low: float = number(
+        0.15,
+        -1,
+        MAX_AGENTS,
+        "lambda2 is above; -1 lets split teams in, whose lambda2 is 0",
+        "lambda2 of a team of N is at most N",
+    )
+    lambda2_high: float = number(
+        math.inf, 1e-6, 1e9, "lambda2 is below; 1e-6 with -1: split teams alone", "a team at 0 is split", infinite=True
+    )
 
     def __post_init__(self) -> None:
         check_numbers(self)

@@ -25,6 +25,7 @@ MAX_TRIES = 2000  # starts drawn before giving up
 FEW_TRIES = 20  # starts drawn before asking whether the map leaves room at all
 LARGE = 16  # robots above which a draw that is too dense is refused before it is tested in a world
 MAX_MAPS = 20  # random maps drawn before giving up
+ROUNDING = 1e-9  # a split team's lambda2 is 0, computed as something up to 1e-14
 ROOM_QUERIES = 200_000  # distances between cells of the start box and pieces that `check_room` asks for
 MARGIN = 3.0  # m, obstacles reach this far beyond starts and way points
 NO_OBSTACLES = (np.zeros(0, records.PIECE), np.zeros((0, 2)))  # pieces, vertices
@@ -121,6 +122,7 @@ class StartSampler:
         if obstacles is not None and obstacles.clearance(poses[:, :3]).min() < start.clearance:
             return False
         lambda2, least = self.assess(poses, obstacles)
+        lambda2 = lambda2 if lambda2 > ROUNDING else 0.0
         return least >= start.spacing and start.lambda2_low < lambda2 < start.lambda2_high
 
     def assess(self, poses: np.ndarray, obstacles: Map | None = None) -> tuple[float, float]:

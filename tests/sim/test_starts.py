@@ -363,3 +363,19 @@ def test_draws_that_are_too_dense_are_not_tested_in_a_world(monkeypatch):
         tested.clear()
     np.testing.assert_array_equal(found[16][0], found[1000][0])
     assert found[16][1] < found[1000][1] / 3
+
+
+def test_a_team_may_start_split():
+    """In pieces of the graph of links, only if it is asked for; with patience it flies on."""
+    split = small(start=Start(lambda2_low=-1.0, lambda2_high=1e-6), patience=np.inf, max_cycles=5)
+    simulator = Simulator(split, 4)
+    simulator.reset(0)
+    for adjacency in simulator.adjacency():
+        near = np.linalg.matrix_power(np.eye(4) + (adjacency > 0), 4)  # who is reached over any number of links
+        assert (near == 0).any()
+    assert (simulator.state.episode["lambda2"] < 1e-6).all()
+    simulator.step(np.zeros((4, 4, 4)))
+    assert not simulator.over.any()
+    connected = Simulator(small(start=Start(lambda2_low=0.0)), 4)
+    connected.reset(0)
+    assert (connected.state.episode["lambda2"] > 1e-6).all()
