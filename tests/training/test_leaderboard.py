@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fovconn_env import scenario
+from fovconn_env.baselines import ORACLES, Expert
 from fovconn_env.errors import SettingError
 from fovconn_env.files import Damaged, OtherKind
 from fovconn_env.scenarios import presets
@@ -42,8 +43,8 @@ def tiny(monkeypatch):
     for name, settings in TASKS.items():
         monkeypatch.setitem(presets.HARD, name, scenario("LeaderFollow-v0", name=name, **SHORT | settings))
     monkeypatch.setitem(presets.PRESETS, "Mix-v0", scenario("Mix-v0", **SHORT))
-    monkeypatch.setitem(campaign.SUITES, "hard-v1", (tuple(TASKS), range(6)))
-    monkeypatch.setitem(campaign.SUITES, "full", (("Mix-v0",), range(6)))
+    monkeypatch.setitem(campaign.SUITES, "hard-v1", campaign.Suite(tuple(TASKS), range(6)))
+    monkeypatch.setitem(campaign.SUITES, "full", campaign.Suite(("Mix-v0",), range(6)))
 
 
 @pytest.fixture
@@ -155,6 +156,28 @@ def test_a_changed_policy_is_refused(fovconn, files, tmp_path):
     oracle = made.files["mine.py"].replace(b"class Mine(Policy):", b"class Mine(Policy):\n    oracle = True")
     file = altered(files[2], tmp_path / "oracle.npz", files=made.files | {"mine.py": oracle})
     refused(fovconn, [file], "name and oracle of", "got ('Mine', False)")
+
+
+@pytest.mark.parametrize(
+    "overrides, oracle",
+    [
+        ({}, False),
+        ({"lambda2": "flooding", "weight": "omni", "max_neighbors": 5, "power.k1": 0.4}, False),
+        ({"lambda2": "true"}, True),
+        ({"relative_yaw": "true"}, True),
+        ({"radio.loss": 0.0}, True),
+        ({"speed_limit": 3.0}, True),
+        ({"map": None}, True),
+    ],
+)
+def test_better_equipment_makes_an_oracle(overrides, oracle):
+    """What a robot computes on board is a policy's to choose; what is told or given to it is not."""
+    tasks = [scenario("LeaderFollow-v0"), scenario("Mix-v0")]
+    kind = type("Equipped", (Expert,), {"overrides": overrides})
+    assert submission.is_oracle(kind, tasks) == oracle
+    assert submission.is_oracle(type("Open", (kind,), {"oracle": True}), tasks)
+    assert submission.is_oracle(ORACLES["oracle-planner"], tasks)
+    assert submission.is_oracle(type("Sly", (ORACLES["oracle-planner"],), {"oracle": False}), tasks)
 
 
 def test_only_the_drawn_seeds_are_flown(files):

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from fovconn_env import scenario
-from fovconn_env.baselines import find_policy
+from fovconn_env.baselines import find_pilot
 from fovconn_env.errors import rule
 from fovconn_env.text import file_name
 from fovconn_env.training.commands.campaigns import fly_all
@@ -41,16 +41,16 @@ def command(
     """
     chosen, tasks = list(dict.fromkeys(policies)), {}
     for name in dict.fromkeys(map(suite_name, suites or ("hard", "full"))):
-        tasks[name] = [scenario(task) for task in SUITES[name][0]]
+        tasks[name] = [scenario(task) for task in SUITES[name].scenarios]
     given = parse_seeds(seeds) if seeds is not None else None
     flights = {
-        Cell(policy, task): given or seeds_of(task, SUITES[name][1])
+        Cell(policy, task): given or seeds_of(task, SUITES[name].seeds)
         for name, group in tasks.items()
         for task in group
         for policy in chosen
     }
     for cell in flights:
-        find_policy(cell.policy).equip(cell.scenario)
+        find_pilot(cell.policy).equip(cell.scenario)
     check_labels(list(flights))
     check_folder(folder)
     written = []

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fovconn_env import scenario
-from fovconn_env.baselines import find_policy
+from fovconn_env.baselines import find_pilot
 from fovconn_env.errors import SettingError, rule
 from fovconn_env.training.evaluation.campaign import SUITES
 from fovconn_env.training.evaluation.flights import SHARES, Evaluation, label
@@ -24,11 +24,12 @@ from fovconn_env.training.evaluation.statistics import (
     paired_share_difference,
     share_interval,
 )
-from fovconn_env.training.evaluation.submission import OUTCOMES, Submission, settings_hash, unpack, versions
+from fovconn_env.training.evaluation.submission import OUTCOMES, Submission, is_oracle, settings_hash, unpack, versions
 
 STUDY = "leaderboard"
 CHECKED = 16  # seeds of each task that are flown again
 SUCCESS = "success"  # what policies are ranked by
+
 
 Fly = Callable[[list[Cell], Mapping[Cell, list[int]]], list[Evaluation]]
 
@@ -51,7 +52,7 @@ def check_alike(submissions: Mapping[Path, Submission]) -> None:
         other = files.setdefault(made.label.lower(), file)
         rule(other == file, f"the policy of {file}", "of a name of its own", made.label, f"it is that of {other}")
         for name, tasks in made.suites.items():
-            wanted = list(SUITES[name][0]) if name in SUITES else None
+            wanted = list(SUITES[name].scenarios) if name in SUITES else None
             rule(tasks == wanted, f"suite {name} of {file}", f"{wanted}", tasks, "submit it again with this version")
         for task, was in made.settings.items():
             here = settings_hash(scenario(task))
@@ -86,11 +87,12 @@ def check_flights(submissions: Mapping[Path, Submission], seeds: Mapping[str, li
     for group in groups:
         with _folder_of(next(iter(group.values()))):
             cells = {Cell(made.policy, scenario(task)): file for file, made in group.items() for task in made.settings}
-            kinds = {file: (label(made.policy), find_policy(made.policy).oracle) for file, made in group.items()}
+            kinds = {file: kind_of(made) for file, made in group.items()}
             flown = fly(list(cells), {cell: seeds[cell.scenario.name] for cell in cells})
         for file, made in group.items():
             was = made.label, made.record.policies[made.label]["oracle"]
-            rule(was == kinds[file], f"name and oracle of {file}", f"{kinds[file]} as its class says", was, "submit it")
+            hint = "submit it with fovconn submit, as it is"
+            rule(was == kinds[file], f"name and oracle of {file}", f"{kinds[file]} as its class says", was, hint)
         for (cell, file), evaluation in zip(cells.items(), flown, strict=True):
             if found := differences(group[file], cell.scenario.name, evaluation):
                 raise _refused(file, group[file], found)
@@ -106,6 +108,12 @@ def differences(made: Submission, task: str, flown: Evaluation) -> list[Differen
         for name in OUTCOMES
         if result.episodes[name][place[seed]] != flown.episodes[name][k]
     ]
+
+
+def kind_of(made: Submission) -> tuple[str, bool]:
+    """What a submission's policy is called, and whether it is an oracle, by its code, which is run."""
+    tasks = [scenario(task) for task in made.settings]
+    return label(made.policy), is_oracle(find_pilot(made.policy), tasks)
 
 
 @contextlib.contextmanager

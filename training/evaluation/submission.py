@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import inspect
 import json
@@ -18,7 +19,7 @@ import numpy as np
 
 import fovconn_env
 from fovconn_env import Scenario
-from fovconn_env.baselines import find_policy
+from fovconn_env.baselines import Pilot, Policy, find_pilot
 from fovconn_env.errors import SettingError, rule
 from fovconn_env.fields import check_array, check_keys, check_texts
 from fovconn_env.files import Archive, Damaged, Kind, one_line, read_archive, write_archive
@@ -31,13 +32,15 @@ from fovconn_env.training.evaluation.shelf import code_hash
 
 SUBMISSION = Kind("fovconn_submission", "submission", "fovconn submit writes them, as .npz", 1)
 OUTCOMES = (*SHARES, "duration")  # what is kept of every episode, and must come out again
+# settings of what a robot computes itself, which a policy may choose; "true", an oracle's, is none of their values
+ON_BOARD = ("weight", "lambda2", "relative_yaw", "max_neighbors", "max_ranges", "yaw", "power", "flooding")
 _HEADER = ("policy", "suites", "settings", "files", "record")
 
 
 class Submission(NamedTuple):
     """One policy on all tasks of some suites."""
 
-    policy: str  # as `find_policy` takes it in the folder of its files
+    policy: str  # as `find_pilot` takes it in the folder of its files
     suites: dict[str, list[str]]  # the tasks of each
     settings: dict[str, str]  # of each task, see `settings_hash`
     files: dict[str, bytes]  # of the policy, by their path in its folder; none of a policy of this package
@@ -61,19 +64,31 @@ def submission(policy: str, suites: Mapping[str, Sequence[Evaluation]], files: F
         each._replace(episodes={name: each.episodes[name] for name in OUTCOMES}, histograms={}) for each in results
     ]
     seeds = max((each.seeds for each in evaluations), key=len)
-    kind = find_policy(policy)
+    kind = find_pilot(policy)
     run = run_block(seconds) | versions() | {"packages": packages(sources(kind))}
     run["command"] = shlex.join([Path(sys.argv[0]).stem, *sys.argv[1:]])
-    record = Record("submission", list(seeds), {results[0].policy: about(policy)}, results, run=run)
+    what = about(policy) | {"oracle": is_oracle(kind, [each.scenario for each in evaluations])}
+    record = Record("submission", list(seeds), {results[0].policy: what}, results, run=run)
     tasks = {name: [each.scenario.name for each in group] for name, group in suites.items()}
     settings = {each.scenario.name: settings_hash(each.scenario) for each in evaluations}
     return Submission(policy, tasks, settings, packed(policy, files), record)
 
 
+def is_oracle(kind: type[Pilot], tasks: Sequence[Scenario]) -> bool:
+    """Whether a policy says so, acts by the truth, or has its team equipped with more than it computes on board."""
+    return kind.oracle or not issubclass(kind, Policy) or not all(_on_board(task, kind.equip(task)) for task in tasks)
+
+
+def _on_board(task: Scenario, equipped: Scenario) -> bool:
+    values = {item.name: getattr(equipped, item.name) for item in dataclasses.fields(task)}
+    changed = {name: value for name, value in values.items() if value != getattr(task, name)}
+    return all(name in ON_BOARD and value != "true" for name, value in changed.items())
+
+
 def packed(policy: str, files: Files) -> dict[str, bytes]:
     """The contents of a policy's files below the current folder, by their path there; raises as `submission`."""
     here, result = os.path.realpath("."), {}
-    for file in map(str, sources(find_policy(policy))):
+    for file in map(str, sources(find_pilot(policy))):
         inside = file.startswith(os.path.join(here, ""))
         hint = "go to the folder that holds all of it, and name the policy from there"
         rule(inside, f"the files of policy {policy!r}", f"below the current folder {here!r}", file, hint)
