@@ -24,7 +24,7 @@ from tests import reference as ref
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = {"eval": "--scenario", "demo": "--scenario", "bench": "--scenario", "figures": "--ablations"}
-COMMANDS |= {"replay": "--out", "play": "--scenario", "list": "--help"}
+COMMANDS |= {"replay": "--out", "play": "--scenario", "list": "--help", "submit": "--suite", "leaderboard": "--draw"}
 TINY = ("--set", "n_agents=3", "--set", "max_cycles=40", "--set", "warmup=0.5")
 
 
@@ -228,7 +228,7 @@ BAD = {
         ("eval", "--policy", "mine.py:Mine"),
         "policy 'mine.py:Mine' must name a file that exists, got 'mine.py'",
     ),
-    "suite": (("eval", "--suite", "fast"), "suite must be one of quick, full, got 'fast'"),
+    "suite": (("eval", "--suite", "fast"), "suite must be one of quick, full, hard-v1, hard, got 'fast'"),
     "of a suite": (
         ("eval", "--suite", "quick", "--only", "exprt"),
         "a scenario of the suite quick, got 'exprt': did you",

@@ -247,6 +247,8 @@ def test_a_folder_is_one_process_s_at_a_time(in_use, fovconn):
         (("figures", "--map", YARD), "fovconn_env.training.evaluation.map_preview.preview"),
         (("bench", "--quick"), "fovconn_env.training.commands.bench.run"),
         (("replay", "a.npz"), "fovconn_env.training.commands.replay.read_recording"),
+        (("submit", "expert"), "fovconn_env.training.commands.submit.fly_all"),
+        (("leaderboard", "a.npz"), "fovconn_env.training.commands.leaderboard.load"),
         (("train", "record"), "fovconn_env.training.learn.datasets.record"),
         (("play",), "fovconn_env.training.commands.play.Session"),
     ],
