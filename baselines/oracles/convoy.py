@@ -15,14 +15,15 @@ from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.kernel.maths.geometry import nearest_on_piece, sight_blocked
 from fovconn_env.kernel.maths.weights import range_weight, sight_weight
 
-TURN, GATHER, CONVOY = range(3)  # stages
+TURN, GATHER, ALIGN, CONVOY = range(4)  # stages
 CRUISE, FAST = 0.9, 1.3  # m/s, of the leader, of a follower at most
 AHEAD = 0.5  # s, over which a move is tried before it is made
 HOLD = 0.5  # f* below which a camera does not hold its parent well
 FAR = 0.8  # share of d_max at which a follower is waited for
 SWING = 0.6  # share of the yaw rate limit that a follower's camera may need
 STEEP = 0.8  # share of the sine of the half-angle that a line of sight may rise
-CLOSE, ROOMY, TOUCH = 1.3, 2.0, 0.6  # m, to robots, to robots while gathering, and to obstacles, kept clear
+CLOSE, ROOMY, BRAVE = 1.6, 2.0, 0.9  # m to robots, that one keeps clear, and while gathering; that the leader does
+NEAR = 1.2  # m to anything, within which a robot comes closer slowly
 PULL, STEER = 1.2, 8.0  # 1/s, gains on place and heading
 SURGE = 2.5  # m/s^2
 LEVEL = 6.0  # s in which the team comes to one height
@@ -41,6 +42,8 @@ class Scratch(NamedTuple):
     speed: np.ndarray  # (N,) along the route
     tangent: np.ndarray  # (N, 3) of the route
     target: np.ndarray  # (N, 3) on the route
+    found: np.ndarray  # (N,) bool, of a search
+    queue: np.ndarray  # (N,) int64
 
 
 def make_scratch(n: int) -> Scratch:
@@ -54,6 +57,8 @@ def make_scratch(n: int) -> Scratch:
         speed=np.zeros(n),
         tangent=np.empty((n, 3)),
         target=np.empty((n, 3)),
+        found=np.empty(n, bool),
+        queue=np.empty(n, np.int64),
     )
 
 
@@ -65,7 +70,7 @@ def fly_convoys(truth, plan, scratch, params, gap, actions):
         if not truth.going[b]:
             continue
         measure(truth, b, scratch, p)
-        if plan.stage[b] == TURN:
+        if plan.stage[b] == TURN or plan.stage[b] == ALIGN:
             plan.ready[b] = find_parents(truth, plan, b, scratch, p, actions)
             continue
         list_chain(truth, plan, b, scratch)
@@ -133,8 +138,7 @@ def stay(truth, plan, b, i, s, p, actions):
     """Hold the place from which the route starts, at the height of `level`."""
     at = truth.position[b, i]
     x, y = plan.start[b, i, 0] - at[0], plan.start[b, i, 1] - at[1]
-    vx, vy, vz = keep_away(truth, b, i, CLOSE, 0.0, s, p)
-    ask(truth, plan, b, i, vx + PULL * x, vy + PULL * y, vz + level(truth, plan, b, i), p, actions)
+    ask(truth, plan, b, i, PULL * x, PULL * y, level(truth, plan, b, i), s, p, actions)
     actions[b, i, 3] = 0.0
 
 
@@ -177,7 +181,8 @@ def gather(truth, plan, b, s, gap, p, actions):
     opened = truth.piece.shape[1] == 0 or truth.piece[b, 0].count == 0
     for r in range(n):
         i = plan.order[b, r]
-        vx, vy, vz = keep_away(truth, b, i, ROOMY, 0.0, s, p)
+        vx, vy = keep_away(truth, plan, b, i, ROOMY if i != root else BRAVE, s, p)
+        vz = 0.0
         parent = plan.parent[b, i]
         if i == root:
             place_on_route(plan, b, i, plan.progress[b, i], s)
@@ -198,7 +203,7 @@ def gather(truth, plan, b, s, gap, p, actions):
             vx += speed * (at[parent, 0] - at[i, 0]) / d + plan.velocity[b, parent, 0]
             vy += speed * (at[parent, 1] - at[i, 1]) / d + plan.velocity[b, parent, 1]
             vz += level(truth, plan, b, i) + plan.velocity[b, root, 2]
-        ask(truth, plan, b, i, vx, vy, vz, p, actions)
+        ask(truth, plan, b, i, vx, vy, vz, s, p, actions)
     return (close or truth.time[b] > plan.began[b] + PATIENCE) and not opened
 
 
@@ -256,7 +261,8 @@ def set_speeds(truth, plan, b, s, gap, p):
 
     Where all wait, the limits grow laxer.
     """
-    lax, moves = min(plan.stuck[b] / 4.0, 1.0), False
+    lax = min(plan.stuck[b] / 4.0, 1.0)
+    gap *= 1.0 - 0.3 * lax
     for r in range(s.chain.shape[0]):
         i = s.chain[r]
         if i < 0:
@@ -275,8 +281,6 @@ def set_speeds(truth, plan, b, s, gap, p):
             if j >= 0 and plan.parent[b, j] == i:
                 speed = min(speed, speed_in_view(truth, b, s, i, j, speed, lax, p))
         s.speed[i] = speed
-        moves = moves or speed > 0.05
-    plan.stuck[b] = 0.0 if moves else plan.stuck[b] + p.step_time
 
 
 @kernel
@@ -298,14 +302,18 @@ def speed_in_view(truth, b, s, i, j, speed, lax, p):
     at, tangent = truth.position[b], s.tangent
     dx, dy, dz = at[i, 0] - at[j, 0], at[i, 1] - at[j, 1], at[i, 2] - at[j, 2]
     square = max(dx * dx + dy * dy, 1e-6)
-    if not holds(truth, b, s, j, i, p):
-        return 0.3 * lax
     nx, ny, nz = (
         dx + AHEAD * speed * tangent[i, 0],
         dy + AHEAD * speed * tangent[i, 1],
         dz + AHEAD * speed * tangent[i, 2],
     )
     near, far = s.distance[i, j], math.sqrt(nx * nx + ny * ny + nz * nz)
+    if near < 1.3 * p.d_min and far > near:
+        return speed
+    if lax == 1.0 and not critical(truth, b, s, i, j):
+        return speed
+    if not holds(truth, b, s, j, i, p):
+        return 0.3 * lax
     if far > (FAR + 0.15 * lax) * p.d_max and far > near:
         return 0.0
     if p.occlusion and sight_blocked(
@@ -317,6 +325,26 @@ def speed_in_view(truth, b, s, i, j, speed, lax, p):
         return 0.0
     across = abs(dx * tangent[i, 1] - dy * tangent[i, 0])
     return min(speed, SWING * p.yaw_rate_limit * square / max(across, 1e-6))
+
+
+@kernel
+def critical(truth, b, s, i, j):
+    """Whether the link of i and j is a bridge: without it there are no others by which j is reached from i."""
+    n, count = truth.yaw.shape[1], 1
+    for k in range(n):
+        s.found[k] = k == i
+    s.queue[0] = i
+    k = 0
+    while k < count:
+        here = s.queue[k]
+        k += 1
+        for other in range(n):
+            bridge = (here == i and other == j) or (here == j and other == i)
+            if not s.found[other] and not bridge and truth.weight[b, here, other] > 0.1:
+                s.found[other] = True
+                s.queue[count] = other
+                count += 1
+    return not s.found[j]
 
 
 @kernel
@@ -347,14 +375,21 @@ def place_on_route(plan, b, i, at, s):
 @kernel
 def move(truth, plan, b, s, p, actions):
     """Ask every robot for its velocity, and take its progress along."""
+    plan.stuck[b] += p.step_time
     for i in range(truth.yaw.shape[1]):
         at = truth.position[b, i]
-        vx, vy, vz = keep_away(truth, b, i, CLOSE, 0.6, s, p)
+        vx, vy = keep_away(truth, plan, b, i, CLOSE if i != plan.leader[b] else BRAVE, s, p)
+        vz = 0.0
         if s.place[i] >= 0:
             x, y, z = s.target[i, 0] - at[0], s.target[i, 1] - at[1], s.target[i, 2] - at[2]
             off = math.sqrt(x * x + y * y + z * z)
             if off < 0.6:
                 plan.progress[b, i] += s.speed[i] * p.step_time
+                plan.astray[b, i] = 0.0
+                if s.speed[i] > 0.05:
+                    plan.stuck[b] = 0.0
+            else:
+                plan.astray[b, i] += p.step_time
             pull = PULL * min(1.0, 1.0 / max(off, 1e-9))
             speed = s.speed[i] if off < 0.6 else 0.0
             vx += speed * s.tangent[i, 0] + pull * x
@@ -363,33 +398,64 @@ def move(truth, plan, b, s, p, actions):
         elif truth.alive[b, i] and truth.time[b] < plan.dies[b, i] - 0.4 * LEAVE:
             place_on_route(plan, b, i, plan.progress[b, i], s)
             vx, vy = vx - s.tangent[i, 1], vy + s.tangent[i, 0]
-        ask(truth, plan, b, i, vx, vy, vz, p, actions)
+        ask(truth, plan, b, i, vx, vy, vz, s, p, actions)
 
 
 @kernel
-def keep_away(truth, b, i, close, aside, s, p):
-    """Velocity away from robots and obstacles that are close, m; aside: the share that leads past a robot."""
+def keep_away(truth, plan, b, i, close, s, p):
+    """Velocity away from robots nearer than `close`, m, in plan, so that no line of sight becomes steep.
+
+    In the convoy a robot gives way to one before it in the order that flies towards it: aside, off the other's route.
+    """
     at = truth.position[b]
-    vx = vy = vz = 0.0
+    vx = vy = 0.0
     for j in range(at.shape[0]):
         d = s.distance[i, j]
-        if j != i and d < close:
-            x, y = at[i, 0] - at[j, 0], at[i, 1] - at[j, 1]
-            push = 1.5 * (close - d) / max(math.hypot(x, y), 1e-6)  # in plan: a line of sight is not to become steep
-            vx, vy = vx + push * (x - aside * y), vy + push * (y + aside * x)
+        reach = close if s.place[j] >= 0 else max(close, 1.3)
+        if j == i or d >= reach:
+            continue
+        x, y = at[i, 0] - at[j, 0], at[i, 1] - at[j, 1]
+        push = 1.5 * (reach - d)
+        if plan.stage[b] == CONVOY and 0 <= s.place[j] < s.place[i] and s.speed[j] > 0.1:
+            tx, ty = s.tangent[j, 0], s.tangent[j, 1]
+            along = x * tx + y * ty
+            if along > 0.0:
+                side = 1.0 if tx * y - ty * x > 0.0 else -1.0
+                x, y, push = -side * ty, side * tx, 1.5 * push
+        scale = push / max(math.hypot(x, y), 1e-6)
+        vx, vy = vx + scale * x, vy + scale * y
+    return vx, vy
+
+
+@kernel
+def guard(truth, b, i, v, s, p):
+    """The velocity without what would lead too fast to something that is close: (vx, vy, vz)."""
+    at = truth.position[b]
+    vx, vy, vz = v
+    for j in range(at.shape[0]):
+        d = s.distance[i, j]
+        if j != i and d < NEAR:
+            x, y, z = (at[i, 0] - at[j, 0]) / d, (at[i, 1] - at[j, 1]) / d, (at[i, 2] - at[j, 2]) / d
+            lack = -1.0 * (d - 1.5 * p.collision_robot) - (vx * x + vy * y + vz * z)
+            if lack > 0.0:
+                vx, vy, vz = vx + lack * x, vy + lack * y, vz + lack * z
     for k in range(truth.piece.shape[1]):
         if truth.piece[b, k].count == 0:
             break
         x, y, z, d = nearest_on_piece(at[i, 0], at[i, 1], at[i, 2], truth.piece[b, k], truth.vertex[b])
-        if d < TOUCH:
-            push = 1.5 * (TOUCH - d) / max(abs(d), 1e-6) * (1.0 if d > 0.0 else -1.0)
-            vx, vy, vz = vx + push * (at[i, 0] - x), vy + push * (at[i, 1] - y), vz + push * (at[i, 2] - z)
+        if d < NEAR:
+            sign = 1.0 / max(abs(d), 1e-6) * (1.0 if d > 0.0 else -1.0)
+            x, y, z = sign * (at[i, 0] - x), sign * (at[i, 1] - y), sign * (at[i, 2] - z)
+            lack = -1.5 * (d - 1.5 * p.collision_obstacle) - (vx * x + vy * y + vz * z)
+            if lack > 0.0:
+                vx, vy, vz = vx + lack * x, vy + lack * y, vz + lack * z
     return vx, vy, vz
 
 
 @kernel
-def ask(truth, plan, b, i, vx, vy, vz, p, actions):
-    """Write the velocity part of an action: velocity and acceleration limited, the stick taken off, yaw frame."""
+def ask(truth, plan, b, i, vx, vy, vz, s, p, actions):
+    """Write the velocity part of an action: guarded, velocity and acceleration limited, the stick taken off."""
+    vx, vy, vz = guard(truth, b, i, (vx, vy, vz), s, p)
     speed, limit = math.sqrt(vx * vx + vy * vy + vz * vz), 0.95 * p.speed_limit
     scale = min(1.0, limit / max(speed, 1e-9))
     last = plan.velocity[b, i]

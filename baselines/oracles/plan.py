@@ -16,7 +16,7 @@ from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.scenarios.settings import FAULTS
 
 BLIND_LINK = 2.0  # m, by which a link is longer to the search if the follower has to turn to see along it
-WEAK_LINK = 4.0  # m, if its weight is below WEAK
+WEAK_LINK = 30.0  # m, if its weight is below WEAK
 WEAK = 0.1
 JOIN = 8.0  # m, of the course along which a robot may join it
 LANE = 64  # points of a lane
@@ -26,7 +26,7 @@ class Plan(NamedTuple):
     """Routes and state of B worlds. World frame, metres and seconds."""
 
     leader: np.ndarray  # (B,) int64, for whom it was made; -1 not yet
-    stage: np.ndarray  # (B,) int64: TURN, GATHER, or CONVOY, see convoy.py
+    stage: np.ndarray  # (B,) int64: TURN, GATHER, ALIGN or CONVOY, see convoy.py
     ready: np.ndarray  # (B,) bool, the stage is over
     course: np.ndarray  # (B, Q, 3) points of the leader's course
     spacing: np.ndarray  # (B,) between them
@@ -41,6 +41,7 @@ class Plan(NamedTuple):
     velocity: np.ndarray  # (B, N, 3) m/s asked for in the last step
     start: np.ndarray  # (B, N, 3) where a robot stood
     stuck: np.ndarray  # (B,) s since any robot moved along its route
+    astray: np.ndarray  # (B, N) s that a robot has been off its route
     began: np.ndarray  # (B,) s on the clock when the stage began
     dies: np.ndarray  # (B, N) s on the clock at which it fails, inf
     blind: np.ndarray  # (B, N) s from which on its camera fails
@@ -51,7 +52,7 @@ def empty_plan(n_worlds: int, scenario: Scenario) -> Plan:
     b, n = n_worlds, scenario.n_agents
     shapes = {"course": (b, 1, 3), "mark": (b, scenario.course.legs), "lane": (b, n, LANE, 3)}
     shapes |= dict.fromkeys(("velocity", "start"), (b, n, 3))
-    shapes |= dict.fromkeys(("joins", "lead_in", "progress", "dies", "blind"), (b, n))
+    shapes |= dict.fromkeys(("joins", "lead_in", "progress", "astray", "dies", "blind"), (b, n))
     shapes |= dict.fromkeys(("spacing", "length", "stuck", "began"), (b,))
     whole = {"order": (b, n), "parent": (b, n), "leader": (b,), "stage": (b,)}
     return Plan(
@@ -91,11 +92,8 @@ def begin_plan(plan: Plan, truth: Truth, b: int, scenario: Scenario, gap: float)
     return plan
 
 
-def line_up(plan: Plan, truth: Truth, b: int, scenario: Scenario, held: np.ndarray) -> None:
-    """Give every robot of world b a lane to the course and a place in the convoy, in place.
-
-    held (N, N) bool: whom each camera keeps; a robot comes behind one that it keeps.
-    """
+def line_up(plan: Plan, truth: Truth, b: int, scenario: Scenario) -> None:
+    """Give every robot of world b a lane to the course, a place in the convoy and a parent before it, in place."""
     leader, position, n = int(plan.leader[b]), truth.position[b], truth.position.shape[1]
     count = round(float(plan.length[b] / plan.spacing[b])) + 1
     near = plan.course[b, : min(count, int(JOIN / STEP) + 1)]
@@ -105,22 +103,27 @@ def line_up(plan: Plan, truth: Truth, b: int, scenario: Scenario, held: np.ndarr
             continue
         distance = np.linalg.norm(near - position[i], axis=1)
         k = int((1.5 * distance - plan.spacing[b] * np.arange(len(near))).argmin())
-        path = find_path(position[i], near[k], truth.piece[b], truth.vertex[b], scenario.collision_obstacle)
-        length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
-        plan.lane[b, i] = (
-            resample(path, max(length, 1e-9) / (LANE - 1))[np.minimum(np.arange(LANE), LANE - 1)]
-            if length > 0
-            else path[0]
-        )
-        plan.joins[b, i] = plan.spacing[b] * k + plan.progress[b, leader]
-        plan.lead_in[b, i] = length
-        plan.progress[b, i] = plan.joins[b, i] - length
+        lay_lane(plan, truth, b, i, plan.progress[b, leader] + plan.spacing[b] * k, scenario)
     order, left = [leader], sorted(set(range(n)) - {leader}, key=lambda i: (-plan.progress[b, i], i))
     while left:
-        following = next((i for i in left if held[i, order].any()), left[0])
+        following = next((i for i in left if (truth.weight[b, i, order] > WEAK).any()), left[0])
+        linked = [j for j in order if truth.weight[b, following, j] > WEAK]
+        plan.parent[b, following] = linked[-1] if linked else -1
         order.append(following)
         left.remove(following)
     plan.order[b] = _blind_not_last(order, np.minimum(plan.dies[b], plan.blind[b]))
+    plan.start[b] = position
+
+
+def lay_lane(plan: Plan, truth: Truth, b: int, i: int, joins: float, scenario: Scenario) -> None:
+    """Lay a lane from where robot i of world b is to a place on the course, m along it, in place."""
+    here, end = truth.position[b, i], plan.course[b, round(joins / float(plan.spacing[b]))]
+    path = find_path(here, end, truth.piece[b], truth.vertex[b], scenario.collision_obstacle)
+    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    at = np.linspace(0.0, lengths[-1], LANE)
+    plan.lane[b, i] = np.stack([np.interp(at, lengths, column) for column in path.T], axis=1)
+    plan.joins[b, i], plan.lead_in[b, i], plan.progress[b, i] = joins, lengths[-1], joins - lengths[-1]
+    plan.astray[b, i] = 0.0
 
 
 def _course(truth: Truth, b: int, scenario: Scenario, gap: float) -> tuple[np.ndarray, list[float]]:

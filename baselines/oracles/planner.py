@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from fovconn_env.baselines.oracles.convoy import CONVOY, fly_convoys, make_scratch
-from fovconn_env.baselines.oracles.plan import begin_plan, empty_plan, line_up
+from fovconn_env.baselines.oracles.convoy import ALIGN, fly_convoys, make_scratch
+from fovconn_env.baselines.oracles.plan import begin_plan, empty_plan, lay_lane, line_up
 from fovconn_env.baselines.oracles.team_oracle import TeamOracle
 from fovconn_env.flights.truth import Truth
 from fovconn_env.scenarios.scenario import Scenario
+
+ASTRAY = 1.0  # s off its route after which a robot gets another
 
 
 class Planner(TeamOracle):
@@ -31,6 +33,9 @@ class Planner(TeamOracle):
         actions = np.zeros((n_worlds, self.scenario.n_agents, 4))
         for b in np.flatnonzero(truth.going & self._plan.ready):
             self._go_on(truth, int(b))
+        for b, i in np.argwhere(truth.going[:, None] & (self._plan.astray > ASTRAY)):
+            joins = max(self._plan.joins[b, i], self._plan.progress[b, i], 0.0)
+            lay_lane(self._plan, truth, int(b), int(i), joins, self.scenario)
         fly_convoys(truth, self._plan, self._scratch, self._params, self.gap, actions)
         return actions
 
@@ -38,8 +43,5 @@ class Planner(TeamOracle):
         """Begin the next stage of world b."""
         plan = self._plan
         plan.stage[b], plan.ready[b], plan.began[b] = plan.stage[b] + 1, False, truth.time[b]
-        if plan.stage[b] == CONVOY:
-            offset = truth.position[b][None] - truth.position[b][:, None]
-            distance = np.linalg.norm(offset, axis=-1)
-            ahead = np.einsum("ijk,ik->ij", offset, truth.optical_axis[b]) > self.scenario.camera.a_min * distance
-            line_up(plan, truth, b, self.scenario, ahead & (truth.weight[b] > 0.0))
+        if plan.stage[b] == ALIGN:
+            line_up(plan, truth, b, self.scenario)
