@@ -274,6 +274,8 @@ def set_speeds(truth, plan, b, s, gap, p):
         else:
             before = s.chain[r - 1]
             slack = plan.progress[b, before] - gap - here
+            if lax > 0.0:  # on a lane it may be farther away than the routes tell
+                slack = max(slack, room_ahead(s, r) - gap)
             speed = (s.speed[before] if slack > -0.3 else 0.0) + 1.5 * slack
         speed = min(max(speed, 0.0), min(FAST if r > 0 else CRUISE, 0.9 * p.speed_limit))
         for q in range(r + 1, s.chain.shape[0]):
@@ -281,6 +283,15 @@ def set_speeds(truth, plan, b, s, gap, p):
             if j >= 0 and plan.parent[b, j] == i:
                 speed = min(speed, speed_in_view(truth, b, s, i, j, speed, lax, p))
         s.speed[i] = speed
+
+
+@kernel
+def room_ahead(s, r):
+    """Distance of the r-th of the convoy to the nearest before it, m."""
+    least = math.inf
+    for q in range(r):
+        least = min(least, s.distance[s.chain[r], s.chain[q]])
+    return least
 
 
 @kernel
