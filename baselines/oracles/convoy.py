@@ -203,6 +203,8 @@ def gather(truth, plan, b, s, gap, p, actions):
             vx += speed * (at[parent, 0] - at[i, 0]) / d + plan.velocity[b, parent, 0]
             vy += speed * (at[parent, 1] - at[i, 1]) / d + plan.velocity[b, parent, 1]
             vz += level(truth, plan, b, i) + plan.velocity[b, root, 2]
+            if not opened and breaks_bridge(truth, plan, b, s, i, (vx, vy, vz), p):
+                vx, vy, vz = 0.0, 0.0, 0.0
         ask(truth, plan, b, i, vx, vy, vz, s, p, actions)
     return (close or truth.time[b] > plan.began[b] + PATIENCE) and not opened
 
@@ -261,7 +263,7 @@ def set_speeds(truth, plan, b, s, gap, p):
 
     Where all wait, the limits grow laxer.
     """
-    lax = min(plan.stuck[b] / 4.0, 1.0)
+    lax = plan.stuck[b] / 4.0
     gap *= 1.0 - 0.3 * lax
     for r in range(s.chain.shape[0]):
         i = s.chain[r]
@@ -275,14 +277,42 @@ def set_speeds(truth, plan, b, s, gap, p):
             before = s.chain[r - 1]
             slack = plan.progress[b, before] - gap - here
             if lax > 0.0:  # on a lane it may be farther away than the routes tell
-                slack = max(slack, room_ahead(s, r) - gap)
+                slack = max(slack, min(room_ahead(s, r) - gap, plan.joins[b, i] - here))
             speed = (s.speed[before] if slack > -0.3 else 0.0) + 1.5 * slack
         speed = min(max(speed, 0.0), min(FAST if r > 0 else CRUISE, 0.9 * p.speed_limit))
         for q in range(r + 1, s.chain.shape[0]):
             j = s.chain[q]
             if j >= 0 and plan.parent[b, j] == i:
                 speed = min(speed, speed_in_view(truth, b, s, i, j, speed, lax, p))
+        if speed > 0.0 and breaks_bridge(
+            truth, plan, b, s, i, (speed * s.tangent[i, 0], speed * s.tangent[i, 1], speed * s.tangent[i, 2]), p
+        ):
+            speed = 0.0
         s.speed[i] = speed
+
+
+@kernel
+def breaks_bridge(truth, plan, b, s, i, v, p):
+    """Whether robot i would, at the velocity v, soon break a link that the team hangs on."""
+    at, axis = truth.position[b], truth.optical_axis[b]
+    vx, vy, vz = v
+    x, y, z = at[i, 0] + AHEAD * vx, at[i, 1] + AHEAD * vy, at[i, 2] + AHEAD * vz
+    for j in range(at.shape[0]):
+        if j == i or truth.weight[b, i, j] <= 0.0:
+            continue
+        dx, dy, dz = x - at[j, 0], y - at[j, 1], z - at[j, 2]
+        d = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
+        along = plan.parent[b, i] == j or plan.parent[b, j] == i
+        along = along or axis[j, 0] * dx + axis[j, 1] * dy + axis[j, 2] * dz > p.a_min * d
+        along = along or -(axis[i, 0] * dx + axis[i, 1] * dy + axis[i, 2] * dz) > p.a_min * d
+        ends = not along or (d > 0.95 * p.d_max and d > s.distance[i, j])
+        ends = ends or (d < 1.1 * p.d_min and d < s.distance[i, j])
+        ends = ends or (
+            p.occlusion and sight_blocked(at[j, 0], at[j, 1], at[j, 2], x, y, z, truth.piece[b], truth.vertex[b])
+        )
+        if ends and critical(truth, b, s, i, j):
+            return True
+    return False
 
 
 @kernel
@@ -321,7 +351,7 @@ def speed_in_view(truth, b, s, i, j, speed, lax, p):
     near, far = s.distance[i, j], math.sqrt(nx * nx + ny * ny + nz * nz)
     if near < 1.3 * p.d_min and far > near:
         return speed
-    if lax == 1.0 and not critical(truth, b, s, i, j):
+    if lax > 0.7 and not critical(truth, b, s, i, j):
         return speed
     if not holds(truth, b, s, j, i, p):
         return 0.3 * lax
@@ -386,7 +416,7 @@ def place_on_route(plan, b, i, at, s):
 @kernel
 def move(truth, plan, b, s, p, actions):
     """Ask every robot for its velocity, and take its progress along."""
-    plan.stuck[b] += p.step_time
+    moves = False
     for i in range(truth.yaw.shape[1]):
         at = truth.position[b, i]
         vx, vy = keep_away(truth, plan, b, i, CLOSE if i != plan.leader[b] else BRAVE, s, p)
@@ -397,8 +427,7 @@ def move(truth, plan, b, s, p, actions):
             if off < 0.6:
                 plan.progress[b, i] += s.speed[i] * p.step_time
                 plan.astray[b, i] = 0.0
-                if s.speed[i] > 0.05:
-                    plan.stuck[b] = 0.0
+                moves = moves or s.speed[i] > 0.05
             else:
                 plan.astray[b, i] += p.step_time
             pull = PULL * min(1.0, 1.0 / max(off, 1e-9))
@@ -410,6 +439,7 @@ def move(truth, plan, b, s, p, actions):
             place_on_route(plan, b, i, plan.progress[b, i], s)
             vx, vy = vx - s.tangent[i, 1], vy + s.tangent[i, 0]
         ask(truth, plan, b, i, vx, vy, vz, s, p, actions)
+    plan.stuck[b] = min(max(plan.stuck[b] + (-p.step_time if moves else p.step_time), 0.0), 4.0)
 
 
 @kernel
@@ -492,7 +522,7 @@ def look(truth, plan, b, s, p, actions):
         if not truth.alive[b, i] or r < 0:
             continue
         parent = plan.parent[b, i] if r > 0 else s.chain[min(1, s.chain.shape[0] - 1)]
-        if parent < 0:
+        if parent < 0 or turns_from_bridge(truth, b, s, i, parent, p):
             continue
         dx, dy = at[parent, 0] - at[i, 0], at[parent, 1] - at[i, 1]
         length = max(math.hypot(dx, dy), 1e-9)
@@ -514,3 +544,15 @@ def look(truth, plan, b, s, p, actions):
         vy = plan.velocity[b, parent, 1] - plan.velocity[b, i, 1]
         rate = (dx * vy - dy * vx) / max(length * length, 0.25)
         actions[b, i, 3] = turn_towards(truth, b, i, c * ux - d * uy, d * ux + c * uy, rate, p)
+
+
+@kernel
+def turns_from_bridge(truth, b, s, i, parent, p):
+    """Whether robot i, which does not hold its parent, alone sees one that the team hangs on."""
+    if holds(truth, b, s, i, parent, p):
+        return False
+    for j in range(truth.yaw.shape[1]):
+        alone = j != i and j != parent and truth.weight[b, i, j] > 0.0 and s.cosine[j, i] <= p.a_min
+        if alone and critical(truth, b, s, i, j):
+            return True
+    return False
