@@ -200,8 +200,8 @@ def gather(truth, plan, b, s, gap, p, actions):
             d = s.distance[i, parent]
             speed = min(max(0.7 * (d - gap), 0.0), 0.5)
             close = close and d < gap + 1.0
-            vx += speed * (at[parent, 0] - at[i, 0]) / d + plan.velocity[b, parent, 0]
-            vy += speed * (at[parent, 1] - at[i, 1]) / d + plan.velocity[b, parent, 1]
+            vx += speed * (at[parent, 0] - at[i, 0]) / d + plan.velocity[b, root, 0]
+            vy += speed * (at[parent, 1] - at[i, 1]) / d + plan.velocity[b, root, 1]
             vz += level(truth, plan, b, i) + plan.velocity[b, root, 2]
             if not opened and breaks_bridge(truth, plan, b, s, i, (vx, vy, vz), p):
                 vx, vy, vz = 0.0, 0.0, 0.0
