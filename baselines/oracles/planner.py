@@ -34,7 +34,7 @@ class Planner(TeamOracle):
         for b in np.flatnonzero(truth.going & self._plan.ready):
             self._go_on(truth, int(b))
         for b, i in np.argwhere(truth.going[:, None] & (self._plan.astray > ASTRAY)):
-            joins = max(self._plan.joins[b, i], self._plan.progress[b, i], 0.0)
+            joins = float(max(self._plan.joins[b, i], self._plan.progress[b, i], 0.0))
             lay_lane(self._plan, truth, int(b), int(i), joins, self.scenario)
         fly_convoys(truth, self._plan, self._scratch, self._params, self.gap, actions)
         return actions
