@@ -25,6 +25,7 @@ STEEP = 0.8  # share of the sine of the half-angle that a line of sight may rise
 CLOSE, ROOMY, BRAVE = 1.6, 2.0, 0.9  # m to robots, that one keeps clear, and while gathering; that the leader does
 NEAR = 1.2  # m to anything, within which a robot comes closer slowly
 PULL, STEER = 1.2, 8.0  # 1/s, gains on place and heading
+ASIDE = 0.8  # from a_min to a_max, where a camera has its parent at least when it looks at others, too: f* is 0.9
 SURGE = 2.5  # m/s^2
 LEVEL = 6.0  # s in which the team comes to one height
 PATIENCE = 15.0  # s of gathering at most
@@ -179,9 +180,11 @@ def gather(truth, plan, b, s, gap, p, actions):
     at, n, close = truth.position[b], truth.yaw.shape[1], True
     root = plan.leader[b]
     opened = truth.piece.shape[1] == 0 or truth.piece[b, 0].count == 0
+    if opened:
+        gap = p.D1 + 0.25 * (p.D2 - p.D1)  # of the full range weight; near ones lose sight of who is blown up
     for r in range(n):
         i = plan.order[b, r]
-        vx, vy = keep_away(truth, plan, b, i, ROOMY if i != root else BRAVE, s, p)
+        vx, vy = keep_away(truth, plan, b, i, 0.9 * gap if i != root else BRAVE, s, p)
         vz = 0.0
         parent = plan.parent[b, i]
         if i == root:
@@ -514,7 +517,7 @@ def ask(truth, plan, b, i, vx, vy, vz, s, p, actions):
 @kernel
 def look(truth, plan, b, s, p, actions):
     """Turn every camera: a follower's to its parent and beyond, the leader's back to its followers."""
-    full = math.acos(min(max(p.a_max, -1.0), 1.0))
+    most = math.acos(min(max(p.a_min + ASIDE * (p.a_max - p.a_min), -1.0), 1.0))
     at = truth.position[b]
     for i in range(at.shape[0]):
         actions[b, i, 3] = 0.0
@@ -538,7 +541,7 @@ def look(truth, plan, b, s, p, actions):
                 if ux * ox + uy * oy > 0.5 * away:
                     x, y = x + worth * ox / away, y + worth * oy / away
         turn = math.atan2(ux * y - uy * x, ux * x + uy * y)
-        turn = min(max(turn, -0.8 * full), 0.8 * full)
+        turn = min(max(turn, -most), most)
         c, d = math.cos(turn), math.sin(turn)
         vx = plan.velocity[b, parent, 0] - plan.velocity[b, i, 0]
         vy = plan.velocity[b, parent, 1] - plan.velocity[b, i, 1]
