@@ -17,6 +17,7 @@ from fovconn_env.kernel.maths.weights import range_weight, sight_weight
 
 TURN, GATHER, ALIGN, CONVOY = range(4)  # stages
 CRUISE, FAST = 0.9, 1.3  # m/s, of the leader, of a follower at most
+SLIGHT, GOOD = 0.03, 0.2  # weights below which a link is given up, and from which it makes others dispensable
 AHEAD = 0.5  # s, over which a move is tried before it is made
 HOLD = 0.5  # f* below which a camera does not hold its parent well
 FAR = 0.8  # share of d_max at which a follower is waited for
@@ -280,7 +281,8 @@ def set_speeds(truth, plan, b, s, gap, p):
             before = s.chain[r - 1]
             slack = plan.progress[b, before] - gap - here
             if lax > 0.0:  # on a lane it may be farther away than the routes tell
-                slack = max(slack, min(room_ahead(s, r) - gap, plan.joins[b, i] - here))
+                end = plan.joins[b, i] if lax < 0.9 else plan.progress[b, plan.leader[b]] - gap
+                slack = max(slack, min(room_ahead(s, r) - gap, end - here))
             speed = (s.speed[before] if slack > -0.3 else 0.0) + 1.5 * slack
         speed = min(max(speed, 0.0), min(FAST if r > 0 else CRUISE, 0.9 * p.speed_limit))
         for q in range(r + 1, s.chain.shape[0]):
@@ -301,7 +303,7 @@ def breaks_bridge(truth, plan, b, s, i, v, p):
     vx, vy, vz = v
     x, y, z = at[i, 0] + AHEAD * vx, at[i, 1] + AHEAD * vy, at[i, 2] + AHEAD * vz
     for j in range(at.shape[0]):
-        if j == i or truth.weight[b, i, j] <= 0.0:
+        if j == i or truth.weight[b, i, j] < SLIGHT:
             continue
         dx, dy, dz = x - at[j, 0], y - at[j, 1], z - at[j, 2]
         d = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
@@ -384,7 +386,7 @@ def critical(truth, b, s, i, j):
         k += 1
         for other in range(n):
             bridge = (here == i and other == j) or (here == j and other == i)
-            if not s.found[other] and not bridge and truth.weight[b, here, other] > 0.1:
+            if not s.found[other] and not bridge and truth.weight[b, here, other] > GOOD:
                 s.found[other] = True
                 s.queue[count] = other
                 count += 1
@@ -441,6 +443,8 @@ def move(truth, plan, b, s, p, actions):
         elif truth.alive[b, i] and truth.time[b] < plan.dies[b, i] - 0.4 * LEAVE:
             place_on_route(plan, b, i, plan.progress[b, i], s)
             vx, vy = vx - s.tangent[i, 1], vy + s.tangent[i, 0]
+        if breaks_bridge(truth, plan, b, s, i, (vx, vy, vz), p):
+            vx = vy = vz = 0.0
         ask(truth, plan, b, i, vx, vy, vz, s, p, actions)
     plan.stuck[b] = min(max(plan.stuck[b] + (-p.step_time if moves else p.step_time), 0.0), 4.0)
 
