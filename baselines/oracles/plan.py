@@ -15,6 +15,7 @@ from fovconn_env.flights.truth import Truth
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.scenarios.settings import FAULTS
 
+TURN, GATHER, ALIGN, CONVOY = range(4)  # stages
 BLIND_LINK = 2.0  # m, by which a link is longer to the search if the follower has to turn to see along it
 WEAK_LINK = 30.0  # m, if its weight is below WEAK
 WEAK = 0.1
@@ -26,7 +27,7 @@ class Plan(NamedTuple):
     """Routes and state of B worlds. World frame, metres and seconds."""
 
     leader: np.ndarray  # (B,) int64, for whom it was made; -1 not yet
-    stage: np.ndarray  # (B,) int64: TURN, GATHER, ALIGN or CONVOY, see convoy.py
+    stage: np.ndarray  # (B,) int64: TURN, GATHER, ALIGN or CONVOY
     ready: np.ndarray  # (B,) bool, the stage is over
     course: np.ndarray  # (B, Q, 3) points of the leader's course
     spacing: np.ndarray  # (B,) between them

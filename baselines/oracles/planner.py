@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from fovconn_env.baselines.oracles.convoy import ALIGN, fly_convoys, make_scratch
-from fovconn_env.baselines.oracles.plan import begin_plan, empty_plan, lay_lane, line_up
+from fovconn_env.baselines.oracles.convoy import choose_parents, list_chain, move, set_speeds
+from fovconn_env.baselines.oracles.gather import find_parents, gather
+from fovconn_env.baselines.oracles.links import make_scratch, measure
+from fovconn_env.baselines.oracles.motion import look
+from fovconn_env.baselines.oracles.plan import ALIGN, GATHER, TURN, begin_plan, empty_plan, lay_lane, line_up
 from fovconn_env.baselines.oracles.team_oracle import TeamOracle
 from fovconn_env.flights.truth import Truth
+from fovconn_env.kernel.jit import entry
 from fovconn_env.scenarios.scenario import Scenario
 
 ASTRAY = 1.0  # s off its route after which a robot gets another
@@ -36,7 +40,7 @@ class Planner(TeamOracle):
         for b, i in np.argwhere(truth.going[:, None] & (self._plan.astray > ASTRAY)):
             joins = float(max(self._plan.joins[b, i], self._plan.progress[b, i], 0.0))
             lay_lane(self._plan, truth, int(b), int(i), joins, self.scenario)
-        fly_convoys(truth, self._plan, self._scratch, self._params, self.gap, actions)
+        fly_teams(truth, self._plan, self._scratch, self._params, self.gap, actions)
         return actions
 
     def _go_on(self, truth: Truth, b: int) -> None:
@@ -45,3 +49,24 @@ class Planner(TeamOracle):
         plan.stage[b], plan.ready[b], plan.began[b] = plan.stage[b] + 1, False, truth.time[b]
         if plan.stage[b] == ALIGN:
             line_up(plan, truth, b, self.scenario)
+
+
+@entry
+def fly_teams(truth, plan, scratch, params, gap, actions):
+    """Fill actions (B, N, 4) of the worlds that go on, and bring their plan up to date; gap: m between robots."""
+    p = params[0]
+    for b in range(actions.shape[0]):
+        if not truth.going[b]:
+            continue
+        measure(truth, b, scratch, p)
+        if plan.stage[b] == TURN or plan.stage[b] == ALIGN:
+            plan.ready[b] = find_parents(truth, plan, b, scratch, p, actions)
+            continue
+        list_chain(truth, plan, b, scratch)
+        choose_parents(truth, plan, b, scratch, p)
+        if plan.stage[b] == GATHER:
+            plan.ready[b] = gather(truth, plan, b, scratch, gap, p, actions)
+        else:
+            set_speeds(truth, plan, b, scratch, gap, p)
+            move(truth, plan, b, scratch, p, actions)
+        look(truth, plan, b, scratch, p, actions)
