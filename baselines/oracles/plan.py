@@ -1,6 +1,7 @@
-"""What `Planner` lays down when it first sees a world: the leader's course, and for each follower a way onto it.
+"""What `Planner` lays down: the leader's course, whom each camera is to see, and each follower's lane to the course.
 
-Distances along a route are measured from where the leader stood: ahead on its course positive, before it negative.
+Distances along a route, a lane and then the course, are the course's: 0 where the leader stood. What is before the
+place where a lane joins the course counts backwards from it.
 """
 
 from __future__ import annotations
@@ -33,19 +34,19 @@ class Plan(NamedTuple):
     spacing: np.ndarray  # (B,) between them
     length: np.ndarray  # (B,) of it
     mark: np.ndarray  # (B, W) where on it the way points lie
-    lane: np.ndarray  # (B, N, L, 3) points, STEP apart, of the way from where a robot gathered to the course
+    lane: np.ndarray  # (B, N, L, 3) points, evenly spread, of the way from where a robot gathered to the course
     joins: np.ndarray  # (B, N) where on the course it ends
     lead_in: np.ndarray  # (B, N) its length
     order: np.ndarray  # (B, N) int64, robots in the order of the convoy, the leader first
     parent: np.ndarray  # (B, N) int64, whom a robot's camera is to see; -1 nobody
-    progress: np.ndarray  # (B, N) along its route: of the lane negative from where it joins, see `joins`
+    progress: np.ndarray  # (B, N) along its route; at `joins` it comes onto the course
     velocity: np.ndarray  # (B, N, 3) m/s asked for in the last step
     start: np.ndarray  # (B, N, 3) where a robot stood
     stuck: np.ndarray  # (B,) s since any robot moved along its route
     astray: np.ndarray  # (B, N) s that a robot has been off its route
     began: np.ndarray  # (B,) s on the clock when the stage began
     dies: np.ndarray  # (B, N) s on the clock at which it fails, inf
-    blind: np.ndarray  # (B, N) s from which on its camera fails
+    blind: np.ndarray  # (B, N) s at which its camera fails, for a time or for good: nobody relies on it again
 
 
 def empty_plan(n_worlds: int, scenario: Scenario) -> Plan:
@@ -77,13 +78,8 @@ def begin_plan(plan: Plan, truth: Truth, b: int, scenario: Scenario, gap: float)
     plan.mark[b, : len(marks)] = marks
     tree, cost = _tree(truth, b, leader, scenario.camera.a_min)
     plan.parent[b], plan.leader[b], plan.stage[b], plan.ready[b] = tree, leader, 0, False
-    plan.start[b], plan.velocity[b], plan.stuck[b], plan.began[b], plan.progress[b] = (
-        position,
-        0.0,
-        0.0,
-        truth.time[b],
-        0.0,
-    )
+    plan.start[b], plan.began[b] = position, truth.time[b]
+    plan.velocity[b] = plan.stuck[b] = plan.progress[b] = plan.joins[b] = plan.astray[b] = 0.0
     plan.dies[b] = plan.blind[b] = np.inf
     for fault in truth.fault[b]:
         which = plan.dies if fault["kind"] == FAULTS.index("robot") else plan.blind
@@ -118,7 +114,8 @@ def line_up(plan: Plan, truth: Truth, b: int, scenario: Scenario) -> None:
 
 def lay_lane(plan: Plan, truth: Truth, b: int, i: int, joins: float, scenario: Scenario) -> None:
     """Lay a lane from where robot i of world b is to a place on the course, m along it, in place."""
-    here, end = truth.position[b, i], plan.course[b, round(joins / float(plan.spacing[b]))]
+    last = round(float(plan.length[b] / plan.spacing[b]))
+    here, end = truth.position[b, i], plan.course[b, min(round(joins / float(plan.spacing[b])), last)]
     path = find_path(here, end, truth.piece[b], truth.vertex[b], scenario.collision_obstacle)
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     at = np.linspace(0.0, lengths[-1], LANE)

@@ -1,12 +1,15 @@
 """What flies by the truth: it is the simulator's, goes to the oracles of `rollout` alone, and shows a ceiling."""
 
 import pickle
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from fovconn_env import Simulator, scenario
+from fovconn_env import Fault, Map, Simulator, scenario
 from fovconn_env.baselines import ORACLES, POLICIES, Policy, TeamOracle, find_pilot, find_policy, load_policy
+from fovconn_env.baselines.oracles.paths import STEP, band_clearance, find_path
+from fovconn_env.baselines.oracles.plan import TURN
 from fovconn_env.baselines.oracles.planner import Planner
 from fovconn_env.errors import SettingError
 from fovconn_env.flights.rollout import rollout
@@ -193,3 +196,132 @@ def test_a_world_flies_alone_as_in_a_batch_and_twice_the_same(name):
     for k, seed in enumerate((5, 6, 7)):
         alone = track(chosen, [seed], 500)[:, 0]
         np.testing.assert_array_equal(both[: len(alone), k], alone)
+
+
+def outcomes(kind, chosen, seeds):
+    """Flights that succeeded, and those that were never disconnected."""
+    from fovconn_env.training.evaluation import evaluate
+
+    episodes = evaluate(kind, chosen, seeds).episodes
+    return int(episodes["success"].sum()), int(episodes["never_disconnected"].sum())
+
+
+@pytest.mark.parametrize(
+    ("name", "level", "other"),
+    [("Corridor-v0", 3, "expert"), ("NarrowCamera-v0", 3, "follow"), ("LeaderObstacles-v0", 1, "expert")],
+)
+def test_it_reaches_what_others_do_not(name, level, other):
+    """Of 16 flights from the first seeds it finishes 15 or more, a law by observations fewer than it by 3 or more."""
+    task = scenario(name, level=level)
+    finished, kept = outcomes("oracle-planner", task, range(16))
+    assert finished >= 15
+    assert kept >= 15
+    assert outcomes(other, task, range(16))[0] <= finished - 3
+
+
+def test_cameras_turn_to_their_parents_without_losing_a_link_of_the_tree():
+    """While nobody flies yet each robot of the tree of lines of sight keeps the link to its parent, in 16 teams."""
+    chosen = scenario("NarrowCamera-v0", level=2, lambda2="none", warmup=0.1, max_cycles=400)
+    simulator = Simulator(chosen, 16)
+    simulator.reset(0)
+    policy, worlds, turned = Planner(chosen), np.arange(16)[:, None], 0
+    for _ in range(400):
+        actions = policy.decide(read_truth(simulator))
+        plan = policy._plan
+        turning = plan.stage == TURN
+        if not turning.any():
+            break
+        follows = (plan.parent >= 0) & turning[:, None]
+        assert follows[turning].sum() == 5 * turning.sum()
+        assert (simulator.adjacency()[worlds, np.arange(6), plan.parent][follows] > 0.0).all()
+        turned += 1
+        simulator.step(actions)
+    assert 0 < turned < 399
+    assert not simulator.over.any()
+
+
+def test_it_flies_whatever_there_is_to_fly():
+    """No leader, a leader that dies, two robots, cameras that see all around, a team that starts split."""
+    split = {"patience": 1e3, "start.lambda2_low": -1.0, "start.lambda2_high": 0.005}
+    tasks = [
+        small("Regroup-v0"),
+        small(faults=(Fault(kind="robot", robot=0, at=6.0),), patience=1e3),
+        small("Corridor-v0", n_agents=2),
+        small("LeaderObstacles-v0", **{"camera.a_min": -1.0, "camera.a_max": -0.9}),
+        small("LeaderObstacles-v0", **split),
+    ]
+    for chosen in tasks:
+        for simulator in rollout(Planner, scenario(chosen, max_cycles=400), [1, 2]):
+            assert np.isfinite(simulator.poses()).all()
+        assert not simulator.state.episode["collision"].any()
+
+
+def test_another_leader_gets_another_plan():
+    chosen = small(patience=1e3, course={"settle": 0.0})
+    simulator = Simulator(chosen)
+    simulator.reset(3)
+    policy = Planner(chosen)
+    for step in range(900):
+        simulator.step(policy.decide(read_truth(simulator)))
+        if step == 200:
+            simulator.lead(2)
+        if simulator.over.all():
+            break
+    assert simulator.state.episode["success"].all()
+    assert simulator.state.episode["leader"] == 2
+
+
+# ------------------------------------------------------------------------------------------------------------ paths
+def map_arrays(chosen):
+    """Pieces and vertices of a given map."""
+    simulator = Simulator(chosen)
+    simulator.reset(0)
+    return simulator.world.piece[0], simulator.world.vertex[0]
+
+
+def spacing_of(path):
+    return np.linalg.norm(np.diff(path, axis=0), axis=1)
+
+
+def test_a_path_in_the_open_is_straight():
+    path = find_path(np.array([0.0, 0, 1]), np.array([6.0, 8, 2]), *map_arrays(small()), 0.25)
+    along = (path - path[0]) @ [6, 8, 1] / 101
+    np.testing.assert_allclose(path, path[0] + along[:, None] * [6.0, 8, 1], atol=1e-12)
+    assert spacing_of(path[:, :2]).max() <= STEP + 1e-12
+    np.testing.assert_array_equal(path[[0, -1]], [[0, 0, 1], [6, 8, 2]])
+
+
+def test_a_path_leads_around_a_wall_and_through_a_gap():
+    """A wall of 8 m across the way, and one with a gap of 0.9 m for robots that need 0.5 m."""
+    low, high = np.array([0.0, 0, 0]), np.array([10.0, 0, 1])
+    wall = map_arrays(small(map=Map().wall((5, 20 - 4), (5, 20 + 4), 0.3), start={"box": (4, 4, 2)}))
+    shift = np.array([0.0, 20, 0])
+    path = find_path(low + shift, high + shift, *wall, 0.25)
+    assert band_clearance(path, *used(*wall)) > 0.5
+    assert 10 < spacing_of(path).sum() < 15  # 2 sqrt(5^2 + 5^2) = 14.1 around its end at 1 m
+    assert np.abs(path[:, 2] - np.linspace(0, 1, len(path))).max() < 1e-9
+    gap = Map().wall((5, 0), (5, 19.4), 0.3).wall((5, 20.6), (5, 40), 0.3)
+    path = find_path(low + shift, high + shift, *map_arrays(small(map=gap, start={"box": (4, 4, 2)})), 0.25)
+    assert band_clearance(path, *used(*map_arrays(small(map=gap, start={"box": (4, 4, 2)})))) > 0.35
+    assert spacing_of(path).sum() < 10.5
+    closed = map_arrays(small(map=Map().wall((5, -1000), (5, 1000), 0.3), start={"box": (4, 4, 2)}))
+    straight = find_path(low, high, *closed, 0.25)
+    assert spacing_of(straight).sum() == pytest.approx(np.sqrt(101))
+
+
+def used(pieces, vertices):
+    return pieces[pieces["count"] > 0], vertices
+
+
+def test_a_course_through_a_forest_keeps_clear():
+    """The way between the way points of 16 maps is as wide as a gap between pillars allows."""
+    chosen = scenario("LeaderObstacles-v0", lambda2="none", warmup=0.1)
+    simulator = Simulator(chosen, 16)
+    simulator.reset(0)
+    truth = read_truth(simulator)
+    for b in range(16):
+        places = [truth.position[b, 0], *truth.waypoint[b]]
+        for here, there in pairwise(places):
+            path = find_path(here, there, truth.piece[b], truth.vertex[b], 0.25)
+            assert band_clearance(path, *used(truth.piece[b], truth.vertex[b])) > 0.7
+            np.testing.assert_allclose(path[[0, -1]], [here, there])
