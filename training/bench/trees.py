@@ -2,7 +2,8 @@
 
     python -m fovconn_env.training.bench.trees --baseline ../other
 
-flies every level with several policies in both trees and compares hashes of the state and of what the robots got.
+flies every level that both trees have, with several policies, and compares hashes of the state and of what the robots
+got.
 """
 
 from __future__ import annotations
@@ -51,6 +52,11 @@ arguments = json.loads(sys.stdin.readline())
 """
 
 FLY = """
+INFOS = '''lambda2 lambda2_hat connected n_edges min_distance clearance yaw_error success collision disconnected
+lost_link_cause bytes_sent neighbors_dropped alive'''.split() + [
+    'reward_' + name for name in 'connectivity progress proximity effort success collision disconnected'.split()
+]  # of 0.1.0: later ones are no difference
+
 def fly(name, level, policy, seed, every):
     chosen = scenario(name, level=level)
     kind = find_policy(policy)
@@ -59,7 +65,8 @@ def fly(name, level, policy, seed, every):
     observations, hashes, step = simulator.reset(seed), [], 0
     got = hashlib.sha256()
     while True:
-        for array in (observations, simulator.rewards, simulator.infos):
+        infos = [simulator.infos[name] for name in INFOS]
+        for array in (observations, simulator.rewards, *infos):
             got.update(np.ascontiguousarray(array).view(np.uint8).data)
         if step % every == 0 or simulator.over[0]:
             hashes.append([step, state_hash(simulator), got.hexdigest()])
@@ -69,7 +76,8 @@ def fly(name, level, policy, seed, every):
         step += 1
 
 for cell in arguments["cells"]:
-    print(json.dumps([cell, fly(*cell, arguments["seed"], arguments["every"])]), flush=True)
+    if cell[0] in PRESETS and cell[1] <= len(LEVELS.get(cell[0], ())) + 1:
+        print(json.dumps([cell, fly(*cell, arguments["seed"], arguments["every"])]), flush=True)
 """
 
 
@@ -157,14 +165,19 @@ def cells(policies: Sequence[str]) -> list[Cell]:
 
 
 def compare(baseline: Path, chosen: Sequence[Cell], seed: int = 0) -> Iterator[Difference | Cell]:
-    """Fly each cell in this tree and in the other; yields the cell if all hashes are equal, else the difference."""
+    """Fly each cell in this tree and in the other; yields the cell if all hashes are equal, else the difference.
+
+    A level that one of them does not have is left out.
+    """
     arguments = {"cells": chosen, "seed": seed, "every": EVERY}
     with ThreadPoolExecutor(2) as pool:
         own, other = pool.map(lambda tree: list(run_in(tree, FLY, arguments)), (HERE, baseline))
-    for ours, theirs in zip(map(json.loads, own), map(json.loads, other), strict=True):
-        cell = Cell(*ours[0])
-        same = [a[0] for a, b in zip(ours[1], theirs[1], strict=False) if a == b]
-        yield cell if ours == theirs else Difference(cell, same[-1] if same else -1)
+    flown = [{Cell(*cell): hashes for cell, hashes in map(json.loads, lines)} for lines in (own, other)]
+    for cell in flown[0]:
+        if cell in flown[1]:
+            ours, theirs = (hashes[cell] for hashes in flown)
+            same = [a[0] for a, b in zip(ours, theirs, strict=False) if a == b]
+            yield cell if ours == theirs else Difference(cell, same[-1] if same else -1)
 
 
 def main() -> None:
@@ -177,10 +190,11 @@ def main() -> None:
     given = parser.parse_args()
     policies = given.policy or [*LAWS, "dagger", "ppo"]
     chosen = [cell for cell in cells(policies) if given.scenario in (None, cell.scenario)]
-    differences = [result for result in compare(given.baseline, chosen, given.seed) if isinstance(result, Difference)]
+    results = list(compare(given.baseline, chosen, given.seed))
+    differences = [result for result in results if isinstance(result, Difference)]
     for cell, since in differences:
         print(f"differs: {cell.scenario} level {cell.level}, {cell.policy}: equal until step {since}")
-    print(f"{len(chosen) - len(differences)} of {len(chosen)} flights are equal, bit for bit")
+    print(f"{len(results) - len(differences)} of {len(results)} flights are equal, bit for bit")
     sys.exit(bool(differences))
 
 
