@@ -125,7 +125,8 @@ class Policy(Pilot):
         of four a robot.
         """
         if isinstance(observation, Mapping):
-            observation = np.concatenate([observation[key] for key in ("self", "neighbors", "ranges")], axis=-1)
+            parts = ("self", "neighbors", "ranges", "detections")[: 4 if self.scenario.n_detections else 3]
+            observation = np.concatenate([observation[key] for key in parts], axis=-1)
         flat = np.ascontiguousarray(observation, np.float32)
         if agent is not None:
             return self._robot(agent, flat)._act(flat)
@@ -137,7 +138,8 @@ class Policy(Pilot):
 
     def rows(self, flat: np.ndarray) -> Rows:
         """Record views of flat observations: `own["vx"]`, `neighbors["f_ij"]`, ... (see fovconn_env.layout)."""
-        return rows(flat, self.scenario.max_neighbors, self.scenario.max_ranges)
+        chosen = self.scenario
+        return rows(flat, chosen.max_neighbors, chosen.max_ranges, chosen.n_detections)
 
     def _act(self, flat: np.ndarray) -> np.ndarray:
         actions = np.asarray(self.decide(flat.reshape(-1, flat.shape[-1])))

@@ -56,6 +56,8 @@ SCALES = {
     "range": "rangefinder.range_max",
     "lambda2": "n_agents",
     "age": "radio.memory + radio.delay * clock.tick / clock.rounds",
+    "detection": "camera.d_max",
+    "followed": "10",
     "world": "1000",
 }
 FIVE = (  # of the README, as in `tables.CARD`

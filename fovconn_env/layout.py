@@ -6,6 +6,7 @@ documentation and the scaling of network inputs; no other file knows a column's 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -70,6 +71,14 @@ NEIGHBOR = (
 RANGE = (
     Column("present", "0/1", "-", 0.0, 1.0, "1 when the row is used"),
     *_vector("", "xyz", "m", "yaw", "range", "nearest surface point of one object"),
+)
+
+# of cameras that report things without a name (Camera.identify, Camera.false_rate) alone
+DETECTION = (
+    Column("present", "0/1", "-", 0.0, 1.0, "1 when the row is used"),
+    *_vector("bearing_", "xyz", "-", "yaw", 1.0, "unit vector to where it is expected now"),
+    Column("distance", "m", "-", 0.0, "detection", "distance"),
+    Column("age", "s", "-", 0.0, "followed", "time since it was first seen"),
 )
 
 ACTION = (
@@ -143,6 +152,7 @@ INFO = (
     Column("lost_link_cause", "code", "-", 0.0, 5.0, "why it lost a link in this step, see LOST_LINK"),
     Column("bytes_sent", "bytes", "-", 0.0, "inf", "bytes it sent in this step"),
     Column("neighbors_dropped", "robots", "-", 0.0, "inf", "neighbours beyond max_neighbors"),
+    Column("name_swaps", "robots", "-", 0.0, "inf", "names that its camera passed on to something else in this step"),
     Column("alive", "0/1", "-", 0.0, 1.0, "0 from the robot's death on"),
     *(Column(f"reward_{name}", "-", "-", "-inf", "inf", f"reward term: {name}") for name in REWARDS),
 )
@@ -170,9 +180,17 @@ def bounds(table: tuple[Column, ...], scales: Mapping[str, float]) -> tuple[np.n
     return np.array(low, np.float32), np.array(high, np.float32)
 
 
-def observation_size(max_neighbors: int, max_ranges: int) -> int:
-    """Length of one robot's flat observation: self, then the neighbour rows, then the range rows."""
-    return len(SELF) + max_neighbors * len(NEIGHBOR) + max_ranges * len(RANGE)
+def observation_size(max_neighbors: int, max_ranges: int, n_detections: int = 0) -> int:
+    """Length of one robot's flat observation: self, then the rows of neighbours, range points and detections."""
+    return len(SELF) + max_neighbors * len(NEIGHBOR) + max_ranges * len(RANGE) + n_detections * len(DETECTION)
+
+
+def cuts(max_neighbors: int, max_ranges: int, n_detections: int = 0) -> tuple[slice, ...]:
+    """Where the groups lie in a flat observation: self, neighbours, range points, and detections if there are rows."""
+    sizes = (len(SELF), max_neighbors * len(NEIGHBOR), max_ranges * len(RANGE), n_detections * len(DETECTION))
+    ends = list(itertools.accumulate(sizes))
+    groups = tuple(slice(end - size, end) for size, end in zip(sizes, ends, strict=True))
+    return groups if n_detections else groups[:3]
 
 
 class Rows(NamedTuple):
@@ -184,18 +202,22 @@ class Rows(NamedTuple):
 
 
 _ROW_TYPES = tuple(record(table, "f4") for table in (SELF, NEIGHBOR, RANGE))  # to make one takes longer than all views
+_DETECTION_TYPE = record(DETECTION, "f4")
 
 
-def rows(flat: np.ndarray, max_neighbors: int, max_ranges: int) -> Rows:
-    """Record views of flat observations, (..., D) float32 C-contiguous; nothing is copied."""
+def rows(flat: np.ndarray, max_neighbors: int, max_ranges: int, n_detections: int = 0) -> Rows:
+    """Record views of flat observations, (..., D) float32 C-contiguous; nothing is copied.
+
+    n_detections: rows that follow them, see `detections`.
+    """
     if flat.dtype != np.float32 or not flat.flags.c_contiguous:
         raise SettingError(
             f"flat observations must be C-contiguous float32, got {flat.dtype} with strides {flat.strides}"
         )
-    if flat.shape[-1] != observation_size(max_neighbors, max_ranges):
+    if flat.shape[-1] != observation_size(max_neighbors, max_ranges, n_detections):
         raise SettingError(
-            f"flat observations must have {observation_size(max_neighbors, max_ranges)} columns for "
-            f"max_neighbors={max_neighbors} and {max_ranges} ranges, got {flat.shape[-1]}: "
+            f"flat observations must have {observation_size(max_neighbors, max_ranges, n_detections)} columns for "
+            f"max_neighbors={max_neighbors}, {max_ranges} ranges and {n_detections} detections, got {flat.shape[-1]}: "
             "was the policy loaded for another scenario?"
         )
     own, neighbor, point = _ROW_TYPES
@@ -205,4 +227,12 @@ def rows(flat: np.ndarray, max_neighbors: int, max_ranges: int) -> Rows:
         np.ndarray(lead, own, flat, 0, steps),
         np.ndarray((*lead, max_neighbors), neighbor, flat, first, (*steps, neighbor.itemsize)),
         np.ndarray((*lead, max_ranges), point, flat, second, (*steps, point.itemsize)),
+    )
+
+
+def detections(flat: np.ndarray, n_detections: int) -> np.ndarray:
+    """Record view, (..., n_detections) DETECTION, of the last columns of flat observations as `rows` takes them."""
+    first = 4 * flat.shape[-1] - n_detections * _DETECTION_TYPE.itemsize
+    return np.ndarray(
+        (*flat.shape[:-1], n_detections), _DETECTION_TYPE, flat, first, (*flat.strides[:-1], _DETECTION_TYPE.itemsize)
     )

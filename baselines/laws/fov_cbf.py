@@ -251,7 +251,7 @@ class FovCbf:
     def __call__(self, flat: np.ndarray, actions: np.ndarray) -> np.ndarray:
         """The nearest actions (R, 4) to the given ones that keep the barriers, from flat observations (R, D)."""
         chosen, shielded = self.scenario, actions.astype(np.float32)
-        own, neighbors, ranges = rows(flat, chosen.max_neighbors, chosen.max_ranges)
+        own, neighbors, ranges = rows(flat, chosen.max_neighbors, chosen.max_ranges, chosen.n_detections)
         if len(flat) > len(self._program.count):
             self._program = empty_program(len(flat), chosen)
         barriers = dataclasses.astuple(self.barriers)

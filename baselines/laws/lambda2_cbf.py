@@ -55,10 +55,11 @@ class Lambda2Cbf:
 
     def __call__(self, flat: np.ndarray, actions: np.ndarray) -> np.ndarray:
         """The nearest actions (R, 4) to the given ones that keep the bound, from flat observations (R, D)."""
-        own, neighbors, _ = rows(flat, self.scenario.max_neighbors, self.scenario.max_ranges)
+        chosen = self.scenario
+        own, neighbors, _ = rows(flat, chosen.max_neighbors, chosen.max_ranges, chosen.n_detections)
         filtered = actions.astype(np.float32)
-        bound = self.scenario.lambda2_min + self.barrier.margin
-        limits = (bound, self.barrier.alpha / self.scenario.n_agents)
+        bound = chosen.lambda2_min + self.barrier.margin
+        limits = (bound, self.barrier.alpha / chosen.n_agents)
         filter_actions(own, neighbors, self._params, limits, filtered)
         return filtered
 

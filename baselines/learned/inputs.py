@@ -10,6 +10,7 @@ import hashlib
 import numpy as np
 
 from fovconn_env import layout
+from fovconn_env.errors import rule
 from fovconn_env.scenarios.scenario import Scenario
 
 OWN, ROW, POINT = len(layout.SELF), len(layout.NEIGHBOR), len(layout.RANGE)
@@ -42,6 +43,18 @@ def scales(max_neighbors: int, max_ranges: int, extra: int = 0) -> np.ndarray:
 
     rows = of(layout.SELF) + max_neighbors * of(layout.NEIGHBOR) + max_ranges * of(layout.RANGE)
     return np.array(rows + extra * [1.0], np.float32)
+
+
+def input_size(scenario: Scenario) -> int:
+    """Columns of a flat observation that a network reads, the first ones: all but what has no name."""
+    return layout.observation_size(scenario.max_neighbors, scenario.max_ranges)
+
+
+def check_named(scenario: Scenario) -> None:
+    """`SettingError` for a scenario whose observations show what networks do not read."""
+    hint = "its policies fly there, and leave out what has no name; for training on it there is training.sb3"
+    words = "without detections, for data and trainers of this package"
+    rule(not scenario.n_detections, f"scenario {scenario.name}", words, f"{scenario.n_detections} rows", hint)
 
 
 def gain(scenario: Scenario) -> np.ndarray:

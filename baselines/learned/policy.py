@@ -25,6 +25,7 @@ from fovconn_env.baselines.learned.inputs import (
     ROW,
     SHARE,
     gain,
+    input_size,
     scales,
 )
 from fovconn_env.baselines.policy import Policy, make_class
@@ -83,7 +84,7 @@ class Learned(Policy):
         """Raises `ValueError` for weights that are missing, damaged or made for other observations."""
         super().__init__(scenario)
         self.card, self._encoder, self._head = load(self.file)
-        size = scenario.observation_size
+        self._size = size = input_size(scenario)
         if self.card.network == "mlp" and self.card.observation_size != size:
             raise SettingError(
                 f"{self.file}: the network must have as many inputs as the scenario has columns ({size}), got "
@@ -115,6 +116,7 @@ class Learned(Policy):
         return correct_actions(flat, action, outputs, self._gain, self.card.bound)
 
     def _run(self, flat: np.ndarray, base: np.ndarray, outputs: np.ndarray) -> None:
+        flat = np.ascontiguousarray(flat[:, : self._size])
         if self.card.network == "mlp":
             run_flat(flat, base, self._scales, self._head, self._scratch, outputs)
             return

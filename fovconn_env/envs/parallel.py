@@ -26,7 +26,7 @@ from fovconn_env.sim.graph import Graph
 from fovconn_env.sim.seeds import Seed, world_seeds
 from fovconn_env.sim.simulator import Simulator
 
-PARTS = ("self", "neighbors", "ranges")
+PARTS = ("self", "neighbors", "ranges", "detections")  # the last one if the scenario has such rows
 ACTION_SHAPE = (len(layout.ACTION),)
 INFO_KEYS = tuple(column.name for column in layout.INFO)
 Observation = TypeVar("Observation")
@@ -36,8 +36,9 @@ Parts = dict[str, np.ndarray]
 class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
     """The environment of a scenario, its id or a `Scenario` with settings to change, for PettingZoo: all robots act.
 
-    Observations are a `Dict` of 1-D float32 Boxes "self", "neighbors", "ranges", or with `flat=True` one Box of the
-    same numbers in the same order; actions are `Box(-1, 1, (4,))`. Columns, units and frames: `fovconn_env.layout`.
+    Observations are a `Dict` of 1-D float32 Boxes "self", "neighbors", "ranges", and where cameras report what has no
+    name "detections"; or with `flat=True` one Box of the same numbers in the same order. Actions are
+    `Box(-1, 1, (4,))`. Columns, units and frames: `fovconn_env.layout`.
     Raises `SettingError` for wrong settings, which for an unknown keyword is also a `TypeError`.
     """
 
@@ -93,9 +94,7 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
         self.np_random = np.random.default_rng()  # for wrappers that draw; the worlds have generators of their own
         self.flat = flat
         self.simulator = Simulator(self.scenario)
-        first = len(layout.SELF)
-        second = first + self.scenario.max_neighbors * len(layout.NEIGHBOR)
-        self._cuts = slice(0, first), slice(first, second), slice(second, None)  # of a flat observation, in PARTS
+        self._cuts = layout.cuts(self.scenario.max_neighbors, self.scenario.max_ranges, self.scenario.n_detections)
         self.possible_agents = self.scenario.agents
         self.agents: list[str] = []
         self.observation_spaces = {agent: self._observation_space() for agent in self.possible_agents}
@@ -243,7 +242,12 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
         flat = self.simulator.observations[0].copy()
         if self.flat:
             return dict(zip(self.agents, flat, strict=True))
-        own, neighbors, ranges = self._cuts
+        if len(self._cuts) == len(PARTS):
+            return {
+                agent: {name: row[cut] for name, cut in zip(PARTS, self._cuts, strict=True)}
+                for agent, row in zip(self.agents, flat, strict=True)
+            }
+        own, neighbors, ranges = self._cuts  # written out, as it is faster
         return {
             agent: {"self": row[own], "neighbors": row[neighbors], "ranges": row[ranges]}
             for agent, row in zip(self.agents, flat, strict=True)
@@ -259,7 +263,7 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
         if self.flat:
             return spaces.Box(low, high)
         boxes = (spaces.Box(low[cut], high[cut]) for cut in self._cuts)
-        return spaces.Dict(OrderedDict(zip(PARTS, boxes, strict=True)))  # a plain dict would be sorted
+        return spaces.Dict(OrderedDict(zip(PARTS, boxes, strict=False)))  # a plain dict would be sorted
 
 
 parallel_env = ParallelEnv

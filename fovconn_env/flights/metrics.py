@@ -38,6 +38,7 @@ _METER = np.dtype(
                 for name in "steps living living_pairs connected mutual one_way saturated split_cause".split()
             ),
             *((name, "i8") for name in "mutual_time mutual_valid one_way_time one_way_valid".split()),
+            *((name, "i8") for name in "name_swaps in_view named".split()),
             *((name, "f8") for name in "lambda2 speed bytes reward least_lambda2 least_separation".split()),
             *((name, "f8") for name in "least_clearance first_loss moved_at alignment aligned hat".split()),
             *((name, "f8") for name in "split_alignment split_hat square_mutual square_one_way".split()),
@@ -117,6 +118,8 @@ class Meter(Observer):
             "yaw_rms_one_way": np.sqrt(_ratio(sums["square_one_way"], one_way)),
             "yaw_valid_mutual": _ratio(sums["mutual_valid"], sums["mutual_time"]),
             "yaw_valid_one_way": _ratio(sums["one_way_valid"], sums["one_way_time"]),
+            "named_share": _ratio(sums["named"], sums["in_view"]),
+            "name_swaps": sums["name_swaps"].astype(float),
             "bytes_per_second": sums["bytes"] / duration,
             "return": sums["reward"],
         }
@@ -201,6 +204,7 @@ def _count_motion(bodies, rewards, infos, s, now, p):
         s.speed += speed / living
         s.saturated += command > 0.999 * p.speed_limit
         s.bytes += infos[i].bytes_sent / living
+        s.name_swaps += int(infos[i].name_swaps)
         s.least_separation = min(s.least_separation, a.nearest)
         s.least_clearance = min(s.least_clearance, a.clearance)
 
@@ -275,6 +279,8 @@ def _count_yaws(bodies, pairs, peers, s, histograms, settled):
             if i == j or not (seen or watched):
                 continue
             track, mutual = peers[i, j].track, seen and watched
+            s.in_view += seen
+            s.named += seen and track.held
             valid = track.valid and track.present
             if settled and mutual:
                 s.mutual_time += 1

@@ -1,6 +1,7 @@
 """What the kernels read and write: records of plain numbers, gathered in arrays over worlds, robots and pairs.
 
-Sizes: B worlds, N robots, M neighbour rows, K range rows, L rounds a message travels, P obstacle pieces, V vertices,
+Sizes: B worlds, N robots, M neighbour rows, K range rows, Q detection rows, L rounds a
+message or ticks a frame travels, S things that a camera follows, P obstacle pieces, V vertices,
 W way points. No record depends on a size, so one compilation serves every team. SI units and radians throughout;
 "yaw frame" is a robot's own frame turned by its heading alone, x forward, z up.
 """
@@ -121,6 +122,21 @@ EGO = _record(
     ]
 )
 SIGHT = _record([("seen", "b1"), *_numbers("x y z")])  # camera of i about j: p_ij (2), yaw frame, de-tilted
+# Of cameras that are not ideal, see onboard/detections.py.
+MOTION = _record(_numbers("turn_cos turn_sin shift_x shift_y rise"))  # own motion of a tick, as in EGO; rise in m
+BLOB = _record(  # something that a camera follows
+    [
+        ("used", "b1"),
+        ("matched", "b1"),  # by a detection of the frame reported in this tick
+        ("wrong", "b1"),  # the judge's: it goes by another robot's name
+        ("name", "i8"),  # the robot it is taken for; -1: unknown
+        ("code", "i8"),  # what its light signals, read by now or not: the robot's number; the camera's own: false
+        *_numbers("x y z"),  # m, yaw frame, where it is expected now
+        *_numbers("age"),  # s since it was first seen
+        *_numbers("unseen"),  # s since it was last seen
+        *_numbers("read"),  # s in which it has signalled the same code
+    ]
+)
 BROADCAST_RECORD = _record(_columns(BROADCAST))  # the part of a robot's messages that is the same for all
 UNICAST_RECORD = _record([("sent", "b1"), ("arrives", "b1"), *_columns(NOTE)])  # the part for one of them: 64 bytes
 INBOX = _record(  # what i last heard of j; what changes in every round stands first: 3 x 64 bytes
@@ -213,14 +229,20 @@ class State(NamedTuple):
     table: np.ndarray  # (B, N, N, N + 1) each robot's table, see flooding.py
     air: np.ndarray  # (B, L, N, N, N + 1) tables on the air: [slot, sender]
     mode: np.ndarray  # (B, N, N) each robot's eigenvector v2
+    # of cameras that are not ideal; of others the sizes behind the robot's are 0
+    report: np.ndarray  # (B, L, N, N) SIGHT, frames on their way: [slot, camera, robot]; a false one: [., i, i]
+    missing: np.ndarray  # (B, N, N) bool, i's camera is in a run of misses of j
+    motion: np.ndarray  # (B, N, L) MOTION, of the last ticks: [robot, slot]
+    blob: np.ndarray  # (B, N, S) BLOB, what each robot follows
     episode: np.ndarray  # (B,) EPISODE
     fiedler: np.ndarray  # (B, N) true v2, end of the step
     info: np.ndarray  # (B, N) INFO_RECORD
     reward: np.ndarray  # (B, N) float64
-    flat: np.ndarray  # (B, N, D) float32, the observations; the three below are views into it
+    flat: np.ndarray  # (B, N, D) float32, the observations; those below are views into it
     own_row: np.ndarray  # (B, N) SELF rows
     neighbor_row: np.ndarray  # (B, N, M) NEIGHBOR rows
     range_row: np.ndarray  # (B, N, K) RANGE rows
+    detection_row: np.ndarray  # (B, N, Q) DETECTION rows, of cameras that report what has no name
 
     @property
     def sight(self) -> np.ndarray:

@@ -24,12 +24,14 @@ from fovconn_env.kernel.world.camera import (
     update_pairs,
 )
 from fovconn_env.kernel.world.faults import apply_faults, clear_faults, mask_pairs
+from fovconn_env.kernel.world.frames import expose, start_misses
 from fovconn_env.kernel.world.kinematics import cache_half_turn, reset_kinematic, set_command, step_kinematic
 from fovconn_env.kernel.world.odometry import measure_ego_motion
 from fovconn_env.kernel.world.operator import NOBODY, update_stick
 from fovconn_env.kernel.world.outcome import (
     build_true_laplacian,
     check_termination,
+    count_swaps,
     true_lambda2,
     update_true_weights,
     write_infos,
@@ -115,6 +117,9 @@ def robot_of(state, b, i):
         state.flat[b, i],
         state.own_row[b, i],
         state.neighbor_row[b, i],
+        state.motion[b, i],
+        state.blob[b, i],
+        state.detection_row[b, i],
     )
 
 
@@ -132,6 +137,12 @@ def message_of(state, b, slot, j, i):
     return Message(
         state.broadcast[b, slot, j], state.unicast[b, slot, j, i], state.beat_air[b, slot, j], state.air[b, slot, j]
     )
+
+
+@view
+def report_of(state, b, slot, i):
+    """The frame of robot i's camera in world b that is in a slot."""
+    return state.report[b, slot, i]
 
 
 @view
@@ -187,6 +198,8 @@ def start_robots(state, b, p):
         reset_body(bodies[i], state.flight[b, i], p)
         x = 2.0 * random.uniform(random.draw(episode.key, 0, i, random.START)) - 1.0
         robot.start(robot_of(state, b, i), x, p)
+        if not p.ideal_camera:
+            start_misses(i, state.missing[b, i], episode, p)
 
 
 @kernel
@@ -212,9 +225,9 @@ def set_commands(bodies, actions, episode, p):
 
 @kernel
 def clear_traffic(infos):
-    """Nothing has been sent in this step."""
+    """Nothing has been sent in this step, and no name has passed to another robot."""
     for i in range(infos.shape[0]):
-        infos[i].bytes_sent = 0.0
+        infos[i].bytes_sent = infos[i].name_swaps = 0.0
 
 
 @stage
@@ -306,10 +319,36 @@ def sense(state, scratch, b, p):
     for i in range(n):
         measure_ego_motion(bodies[i], ego[i], i, episode, p)
         robot.sense(robot_of(state, b, i), p)
+    if not p.ideal_camera:
+        look_around(state, scratch, b, p)
     for k in range(scratch.indptr[n]):
         i, j = scratch.row[k], scratch.col[k]
-        measure_relative_position(bodies[i], bodies[j], pairs[i, j], ego[i], peers[i, j].sight, i * n + j, episode, p)
+        if p.ideal_camera:
+            measure_relative_position(
+                bodies[i], bodies[j], pairs[i, j], ego[i], peers[i, j].sight, i * n + j, episode, p
+            )
         robot.see(robot_of(state, b, i), j, p)
+
+
+@stage
+def look_around(state, scratch, b, p):
+    """Every camera that is not ideal takes its frame, and reports the one of `latency` ago."""
+    bodies, pairs, episode, n = state.body[b], state.pair[b], state.episode[b], state.body.shape[1]
+    slots, tick = state.report.shape[1], episode.n_rounds // p.rounds
+    for i in range(n):
+        ego, missing, report = state.ego[b, i], state.missing[b, i], report_of(state, b, tick % slots, i)
+        expose(i, bodies, pairs[i], ego, missing, report, contacts_of(scratch, i), episode, p)
+        robot.look(robot_of(state, b, i), report_of(state, b, (tick + 1) % slots, i), contacts_of(scratch, i), tick, p)
+        keep_named(pairs, i, state.blob[b, i])
+        state.info[b, i].name_swaps += count_swaps(state.blob[b, i])
+
+
+@kernel
+def keep_named(pairs, i, blobs):
+    """Keep a pair active while something goes by its name on board, be it another robot."""
+    for blob in blobs:
+        if blob.used and blob.name >= 0:
+            pairs[i, blob.name].idle_ticks = pairs[blob.name, i].idle_ticks = 0
 
 
 @stage

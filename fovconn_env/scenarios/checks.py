@@ -31,6 +31,7 @@ def check_scenario(scenario: Any) -> None:
     check_team(scenario)
     check_heights(scenario)
     check_times(scenario)
+    check_camera(scenario)
     check_faults(scenario)
     check_map(scenario)
     size = world_bytes(scenario)
@@ -93,6 +94,18 @@ def check_times(scenario: Any) -> None:
     rule(scenario.warmup <= most, "Scenario.warmup", f"at most {most:g}", scenario.warmup, hint)
     least, hint = ticks * tick / MAX_SUBSTEPS, f"a step takes {MAX_SUBSTEPS} of them at most"
     rule(substep >= least, "Airframe.substep", f"at least {least:g}", substep, hint)
+
+
+def check_camera(scenario: Any) -> None:
+    """Chances from frame to frame that are at most 1."""
+    camera, frame_time = scenario.camera, scenario.camera.frame_time(scenario.clock.tick)
+    hint = f"one a frame at most, and a frame takes {frame_time:g} s"
+    rate = camera.false_rate
+    rule(rate * frame_time <= 1, "Camera.false_rate", f"at most {1 / frame_time:g}", rate, hint)
+    if camera.burst and camera.miss not in (0.0, 1.0):
+        least = frame_time * max(camera.miss / (1 - camera.miss), 1.0)
+        hint = f"a frame takes {frame_time:g} s, and a share of {camera.miss:g} is missed"
+        rule(camera.burst >= least, "Camera.burst", f"0 or at least {least:g}", camera.burst, hint)
 
 
 def check_faults(scenario: Any) -> None:

@@ -47,6 +47,7 @@ class ScenarioSettings(TypedDict, total=False):
     stick_speed: float
     max_neighbors: int
     max_ranges: int
+    max_detections: int
     max_cycles: int
     warmup: float
     lambda2_min: float

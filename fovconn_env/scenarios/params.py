@@ -48,13 +48,24 @@ def _values(scenario: Any) -> dict[str, Any]:
     clock, radio = scenario.clock, scenario.radio
     round_time = clock.tick / clock.rounds  # s
     travel_time = radio.delay * round_time  # s, of a message
-    quiet = max(scenario.camera.coast, radio.memory + travel_time)
+    camera = scenario.camera
+    frame_time = camera.frame_time(clock.tick)
+    latency_ticks = camera.latency_ticks(clock.tick)
+    # held over the ticks without a frame as well; half a tick more, as sums of ticks are not exact
+    sight_hold = camera.coast + ((math.ceil(frame_time / clock.tick) + 0.5) * clock.tick if camera.frame_rate else 0.0)
+    quiet = max(sight_hold + latency_ticks * clock.tick, radio.memory + travel_time)
     values: dict[str, Any] = {
         "round_time": round_time,
         "travel_time": travel_time,
         "step_time": scenario.step_time,
         # so long after a link nothing of it is left on board, and its end has been noted at the end of a step
         "rest_ticks": max(math.ceil(quiet / clock.tick) + 2, clock.ticks + 1),
+        "ideal_camera": camera.is_ideal,
+        "frames_per_tick": clock.tick / frame_time,  # at most 1
+        "latency_ticks": latency_ticks,
+        "sight_hold": sight_hold,
+        **dict(zip(("burst_end", "burst_start"), camera.bursts(frame_time), strict=True)),
+        "false_share": camera.false_rate * frame_time,  # of frames
     }
     values |= dict(zip(("axis_x", "axis_y", "axis_z"), scenario.camera.unit_axis, strict=True))
     for name, words in SWITCHES.items():

@@ -28,6 +28,7 @@ from fovconn_env.scenarios.settings import (
     Noise,
     Radio,
     Start,
+    YawEstimator,
 )
 
 
@@ -88,6 +89,13 @@ PRESETS: dict[str, Scenario] = {
             radio=Radio(loss=0.1, delay=4),
             map=Forest(n_pillars=3, n_walls=0),
         ),
+        Scenario(
+            name="RealCamera-v0",
+            camera=Camera(frame_rate=60.0, latency=0.05, miss=0.1, burst=0.1, coast=0.5, false_rate=0.2, identify=0.3),
+            noise=Noise(bearing_noise=0.005, depth_noise=0.01),
+            # with the gains of Table I, 10/s, noise drowns what tells the relative yaw
+            yaw=YawEstimator(k1=4.0, k2=4.0, hold=0.75),
+        ),
     )
 }
 
@@ -105,6 +113,7 @@ SUMMARIES = {
     "YawTrap-v0": "three robots that hardly move, so that little tells their relative yaw",
     "ScaleUp-v0": "teams of 3 to 48 robots",
     "Mix-v0": "pillars, a lossy radio, narrower cameras and a fast operator at once",
+    "RealCamera-v0": "cameras with frames, latency, misses, false detections, and names that have to be read",
 }  # what happens in each, in a line
 
 # What the levels from 2 on change in a preset, which is level 1. Their order is that of the setting that grows; what
@@ -130,6 +139,20 @@ LEVELS: dict[str, tuple[dict[str, Any], ...]] = {
             "stick_speed": 2.0,
             "camera": dataclasses.replace(_view(45.0, 15.0), occlusion=True),
             "radio": Radio(loss=0.2, delay=10),
+        },
+    ),
+    "RealCamera-v0": (
+        {
+            "camera": Camera(
+                frame_rate=30.0, latency=0.1, miss=0.2, burst=0.2, coast=0.7, false_rate=0.5, identify=1.0
+            ),
+            "noise": Noise(bearing_noise=0.01, depth_noise=0.02),
+        },
+        {
+            "camera": Camera(
+                frame_rate=15.0, latency=0.15, miss=0.3, burst=0.4, coast=1.0, false_rate=1.0, identify=3.0
+            ),
+            "noise": Noise(bearing_noise=0.02, depth_noise=0.03),
         },
     ),
 }

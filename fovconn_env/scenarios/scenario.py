@@ -64,6 +64,9 @@ class Scenario:
     stick_speed: float = number(1.0, 0.001, 100, "m/s", "five metres in a step of 0.05 s")
     max_neighbors: int = number(8, 1, MAX_AGENTS - 1, "rows of the observation", "there are no more neighbours")
     max_ranges: int = number(8, 1, 1024, "rows of the observation", "rows are sorted by insertion, and most are empty")
+    max_detections: int = number(
+        8, 1, 1024, "rows of the observation for what has no name, where the camera reports such", "as for max_ranges"
+    )
     max_cycles: int = number(2400, 1, MAX_CYCLES, "steps", "19 months of the default step")
     warmup: float = number(
         5.0, 0, 600, "s of estimation before an episode, bodies held", "the largest team's estimator takes 160 s"
@@ -130,7 +133,12 @@ class Scenario:
     @property
     def observation_size(self) -> int:
         """Length of one robot's flat observation."""
-        return layout.observation_size(self.max_neighbors, self.max_ranges)
+        return layout.observation_size(self.max_neighbors, self.max_ranges, self.n_detections)
+
+    @property
+    def n_detections(self) -> int:
+        """Rows of an observation for detections without a name: 0 where a camera reports all by name."""
+        return self.max_detections if self.camera.has_detections else 0
 
     def scales(self) -> dict[str, float]:
         """Values of the scale names in the layout's bounds."""
@@ -142,6 +150,8 @@ class Scenario:
             "range": self.rangefinder.range_max,
             "lambda2": float(self.n_agents),
             "age": self.radio.memory + self.radio.delay * self.clock.tick / self.clock.rounds,
+            "detection": self.camera.d_max,
+            "followed": 10.0,
             "world": 1000.0,
             "inf": math.inf,
         }

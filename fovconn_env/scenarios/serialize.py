@@ -19,7 +19,20 @@ from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios.reader import read_group
 from fovconn_env.scenarios.scenario import Scenario
 
-_LATER = ("floor", "ceiling")  # left out while None, so that a record without them is that of earlier versions
+# Left out while they have these values, their defaults, so that a record without them is that of earlier versions.
+_LATER: dict[tuple[str, str], Any] = {
+    ("Scenario", "floor"): None,
+    ("Scenario", "ceiling"): None,
+    ("Scenario", "max_detections"): 8,
+    ("Camera", "frame_rate"): 0.0,
+    ("Camera", "latency"): 0.0,
+    ("Camera", "burst"): 0.0,
+    ("Camera", "false_rate"): 0.0,
+    ("Camera", "identify"): 0.0,
+    ("Camera", "gate"): 1.0,
+    ("Noise", "bearing_noise"): 0.0,
+    ("Noise", "depth_noise"): 0.0,
+}
 
 
 def scenario_to_json(scenario: Scenario) -> dict[str, Any]:
@@ -54,9 +67,12 @@ def plain(value: Any) -> Any:
     if isinstance(value, Map):
         return {"type": "Map", "obstacles": plain(value.obstacles())}
     if dataclasses.is_dataclass(value):
-        fields = {item.name: plain(getattr(value, item.name)) for item in dataclasses.fields(value)}
-        kept = {name: field for name, field in fields.items() if name not in _LATER or field is not None}
-        return {"type": type(value).__name__, **kept}
+        kind, fields = type(value).__name__, {}
+        for item in dataclasses.fields(value):
+            field = getattr(value, item.name)
+            if (kind, item.name) not in _LATER or field != _LATER[kind, item.name]:
+                fields[item.name] = plain(field)
+        return {"type": kind, **fields}
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, (tuple, list)):

@@ -70,6 +70,18 @@ class Camera:
     occlusion: bool = setting(False, "obstacles block the sight")
     miss: float = fraction(0.0, "share of sights missed, each tick and pair by itself")
     coast: float = number(0.0, 0, 1e6, "s a missed robot still counts as seen", FOREVER)
+    frame_rate: float = number(
+        0.0, 0, 10_000, "frames/s, each camera at times of its own; 0: a frame a tick", "the shortest tick is 0.1 ms"
+    )
+    latency: float = number(
+        0.0, 0, 1, "s from a frame to its report, in whole ticks; own odometry carries it on", "all frames are kept"
+    )
+    burst: float = number(0.0, 0, 1e6, "s, mean length of a run of misses; 0: each frame is missed by itself", FOREVER)
+    false_rate: float = number(0.0, 0, 10_000, "false detections/s of each camera, one a frame at most", "one a tick")
+    identify: float = number(0.0, 0, 1e6, "s of uninterrupted sight until a detection has a name", FOREVER)
+    gate: float = number(
+        1.0, 0.001, 1000.0, "m around the place where it is expected, in which a detection is the one followed", LENGTH
+    )
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -80,6 +92,34 @@ class Camera:
         hint = "a direction in the body frame"
         seen = math.hypot(*self.optical_axis) >= 1e-6
         rule(seen, "Camera.optical_axis", "not all 0", self.optical_axis, hint)
+
+    def frame_time(self, tick: float) -> float:
+        """Time from a frame to the next in the mean, s, with ticks of `tick` s."""
+        return max(1.0 / self.frame_rate, tick) if self.frame_rate else tick
+
+    def latency_ticks(self, tick: float) -> int:
+        """Ticks of `tick` s from a frame to its report."""
+        return round(self.latency / tick)
+
+    def bursts(self, frame_time: float) -> tuple[float, float]:
+        """Chance from a frame to the next, `frame_time` s later, that a run of misses ends, and that one starts.
+
+        A two-state chain (Gilbert 1960): runs of `burst` s in the mean, `miss` of all frames.
+        """
+        if self.burst == 0.0 or self.miss in (0.0, 1.0):
+            return 0.0, 0.0
+        end = frame_time / self.burst
+        return end, end * self.miss / (1.0 - self.miss)
+
+    @property
+    def is_ideal(self) -> bool:
+        """Whether it reports in every tick, at once and by name, who is in view, but for single misses."""
+        return not (self.frame_rate or self.latency or self.burst or self.false_rate or self.identify)
+
+    @property
+    def has_detections(self) -> bool:
+        """Whether it reports things without a name, which the observation then has rows for."""
+        return self.identify > 0 or self.false_rate > 0
 
     @property
     def unit_axis(self) -> tuple[float, float, float]:
@@ -191,6 +231,8 @@ class Noise:
 
     position_noise: float = number(0.0, 0, 100, "m, camera", _NOISE)
     position_bias: float = number(0.0, 0, 100, "m", _NOISE)
+    bearing_noise: float = number(0.0, 0, 3, "rad, camera, across the line of sight, each of two ways", _NOISE)
+    depth_noise: float = number(0.0, 0, 100, "1/m, camera, error of a distance over its square", _NOISE)
     velocity_noise: float = number(0.0, 0, 100, "m/s, own velocity", _NOISE)
     velocity_bias: float = number(0.0, 0, 100, "m/s", _NOISE)
     gyro_noise: float = number(0.0, 0, 100, "rad/s, own yaw rate", _NOISE)

@@ -15,6 +15,8 @@ from fovconn_env.maps.obstacles import Map
 MAX_WORLD_BYTES = 2**30  # of one world
 MAX_BATCH_BYTES = 2**36  # of all worlds of a simulator
 
+SPARE_BLOBS = 4  # more than the robots: false ones, and what is left of those that were lost
+
 Arrays = dict[str, tuple[tuple[int, ...], Any]]
 
 
@@ -32,6 +34,8 @@ def world_arrays(scenario: Any, n_pieces: int, n_vertices: int) -> Arrays:
 def state_arrays(scenario: Any) -> Arrays:
     """Shape and type of the arrays of `records.State`, without its views."""
     n, delay = scenario.n_agents, scenario.radio.delay
+    camera, tick = scenario.camera, scenario.clock.tick
+    seeing, frames = (0, 0) if camera.is_ideal else (n, camera.latency_ticks(tick) + 1)
     flooded, entries = (n, n + 1) if scenario.lambda2 == "flooding" else (0, 0)  # rows of a table
     return {
         "body": ((n,), records.BODY),
@@ -47,6 +51,10 @@ def state_arrays(scenario: Any) -> Arrays:
         "table": ((n, flooded, entries), np.float64),
         "air": ((delay, n, flooded, entries), np.float64),
         "mode": ((n, flooded), np.float64),
+        "report": ((frames, seeing, seeing), records.SIGHT),
+        "missing": ((seeing, seeing), np.bool_),
+        "motion": ((n, frames), records.MOTION),
+        "blob": ((n, seeing + SPARE_BLOBS if seeing else 0), records.BLOB),
         "episode": ((), records.EPISODE),
         "fiedler": ((n,), np.float64),
         "info": ((n,), records.INFO_RECORD),

@@ -28,8 +28,18 @@ def allocate(scenario: Scenario, n_worlds: int, n_pieces: int, n_vertices: int) 
         high=high,
     )
     arrays = zeros(state_arrays(scenario), n_worlds)
-    views = layout.rows(arrays["flat"], scenario.max_neighbors, scenario.max_ranges)
-    return world, records.State(**arrays, own_row=views.own, neighbor_row=views.neighbors, range_row=views.ranges)
+    return world, records.State(**arrays, **row_views(arrays["flat"], scenario))
+
+
+def row_views(flat: np.ndarray, scenario: Scenario) -> dict[str, np.ndarray]:
+    """The fields of `records.State` that are views into its observations."""
+    views = layout.rows(flat, scenario.max_neighbors, scenario.max_ranges, scenario.n_detections)
+    return {
+        "own_row": views.own,
+        "neighbor_row": views.neighbors,
+        "range_row": views.ranges,
+        "detection_row": layout.detections(flat, scenario.n_detections),
+    }
 
 
 def zeros(arrays: Arrays, n_worlds: int) -> dict[str, np.ndarray]:
@@ -70,6 +80,7 @@ def observation_bounds(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
         (layout.SELF, 1),
         (layout.NEIGHBOR, scenario.max_neighbors),
         (layout.RANGE, scenario.max_ranges),
+        (layout.DETECTION, scenario.n_detections),
     ):
         parts.append([np.tile(bound, count) for bound in layout.bounds(table, scales)])
     low, high = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -78,7 +89,7 @@ def observation_bounds(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
 
 def clear(world: records.World, state: records.State, b: int) -> None:
     """Set all records of world b to zero, with its map and course."""
-    for array in (*state[:-3], world.piece, world.vertex, world.waypoint):  # the last three are views
+    for array in (*state[:-4], world.piece, world.vertex, world.waypoint):  # the last four are views
         array[b : b + 1].reshape(-1).view(np.uint8).fill(0)  # assigning records takes ten times as long
 
 

@@ -25,7 +25,7 @@ from fovconn_env.scenarios.params import SWITCHES
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.scenarios.sizes import MAX_BATCH_BYTES, world_bytes
 from fovconn_env.sim.graph import Graph, observed_graph
-from fovconn_env.sim.memory import NO_ACTIONS, NO_MASK, allocate, clear, place, scratch
+from fovconn_env.sim.memory import NO_ACTIONS, NO_MASK, allocate, clear, place, row_views, scratch
 from fovconn_env.sim.seeds import Seed, world_seeds
 from fovconn_env.sim.starts import EpisodeStart, StartSampler, check_start, draw_faults
 
@@ -453,8 +453,7 @@ class Simulator:
 
     def __setstate__(self, attributes: dict) -> None:
         self.__dict__.update(attributes)
-        views = layout.rows(self.state.flat, self.scenario.max_neighbors, self.scenario.max_ranges)
-        self.state = self.state._replace(own_row=views.own, neighbor_row=views.neighbors, range_row=views.ranges)
+        self.state = self.state._replace(**row_views(self.state.flat, self.scenario))
 
     def __deepcopy__(self, memo: dict) -> Simulator:
         return pickle.loads(pickle.dumps(self))

@@ -46,6 +46,7 @@ from fovconn_env import (
 )
 from fovconn_env.baselines import load_policy
 from fovconn_env.envs import viewer
+from fovconn_env.envs.parallel import PARTS
 from tests import reference as ref
 from tests.helpers import differing, recorded_actions, snapshot
 
@@ -185,7 +186,7 @@ def test_spaces(name, flat):
         assert env.action_space(agent) is env.action_space(agent) is env.action_spaces[agent]
         space = env.observation_space(agent)
         leaves = [space] if flat else list(space.spaces.values())
-        assert flat or list(space.spaces) == ["self", "neighbors", "ranges"]
+        assert flat or list(space.spaces) == list(PARTS)[: 4 if env.scenario.n_detections else 3]
         assert sum(leaf.shape[0] for leaf in leaves) == env.scenario.observation_size
         for leaf in (*leaves, env.action_space(agent), env.state_space):
             assert isinstance(leaf, gymnasium.spaces.Box)

@@ -34,9 +34,12 @@ RUNS: dict[str, Scenario] = {
         max_ranges=3,
         camera=Camera(occlusion=True, miss=0.1, coast=0.05),
         radio=Radio(loss=0.1, delay=1),
-        noise=Noise(**dict.fromkeys(Noise.__dataclass_fields__, 0.02)),
+        noise=Noise(
+            **{name: 0.02 for name in Noise.__dataclass_fields__ if name not in ("bearing_noise", "depth_noise")}
+        ),
         airframe=Airframe(rotor_noise=0.02, force_noise=0.3),
     ),
+    "RealCamera": scenario("RealCamera-v0", **GENTLE),
 }
 
 
@@ -61,7 +64,7 @@ def record(name: str) -> dict[str, np.ndarray]:
 def _values(simulator: Simulator) -> dict[str, np.ndarray]:
     state = simulator.state
     body, track, belief, episode = state.body[0], state.track[0], state.belief[0], state.episode[0]
-    numbers = [column for column in state.info.dtype.names if column not in ("yaw_error", "alive")]
+    numbers = [column for column in state.info.dtype.names if column not in ("yaw_error", "name_swaps", "alive")]
     return {
         "poses": simulator.poses()[0],
         "motion": np.stack([body[name] for name in ("vx", "vy", "vz", "yaw_rate", "roll", "pitch")], axis=-1),

@@ -220,7 +220,8 @@ def test_one_source_does_not_shift_another(source):
     """Switching all other sources, misses and losses on leaves the errors of one as they were."""
     poses = PAIR if source == "range" else RING
     alone = Noise(**{f"{source}_noise": 0.03, f"{source}_bias": 0.03})
-    others = dataclasses.replace(ALL, attitude_noise=0.0, attitude_bias=0.0) if source == "position" else ALL
+    same = dict.fromkeys(("attitude_noise", "attitude_bias", "bearing_noise", "depth_noise"), 0.0)  # also of a position
+    others = dataclasses.replace(ALL, **same) if source == "position" else ALL
     quiet = watch(standing(poses=poses, noise=alone), 20)[source]
     loud = standing(poses=poses, noise=others, camera=dataclasses.replace(WHOLE, coast=0.1), radio=Radio(loss=0.5))
     found = watch(loud, 20)[source]

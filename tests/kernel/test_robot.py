@@ -17,11 +17,13 @@ from fovconn_env.kernel.onboard import robot
 from fovconn_env.kernel.onboard.messages import Message, Outbox, Round
 from fovconn_env.kernel.onboard.robot import Robot
 from fovconn_env.kernel.world.camera import build_contacts, find_active, measure_relative_position
+from fovconn_env.kernel.world.frames import expose, start_misses
 from fovconn_env.kernel.world.odometry import measure_ego_motion
 from fovconn_env.kernel.world.operator import update_stick
 from fovconn_env.kernel.world.radio import draw_losses
 from fovconn_env.kernel.world.rangefinder import scan
 from fovconn_env.scenarios.settings import Fault
+from fovconn_env.scenarios.sizes import state_arrays
 from fovconn_env.sim.memory import scratch
 from fovconn_env.sim.simulator import Simulator
 from tests.helpers import JIT, MOTION, few, recorded_actions
@@ -45,6 +47,10 @@ class Memory(NamedTuple):
     flat: np.ndarray
     own_row: np.ndarray
     neighbor_rows: np.ndarray
+    motions: np.ndarray
+    blobs: np.ndarray
+    detection_rows: np.ndarray
+    report: np.ndarray  # of its camera, where that is not ideal
 
 
 class Mail(NamedTuple):
@@ -82,12 +88,17 @@ def call(orders, turn, memory, said, heard, contacts, work, bounds, params):
         m.flat,
         m.own_row[0],
         m.neighbor_rows,
+        m.motions,
+        m.blobs,
+        m.detection_rows,
     )
     outbox = Outbox(said.broadcast[slot], said.unicast[slot], said.beats[slot], said.tables[slot])
     if orders.task == START:
         robot.start(me, orders.x, p)
     elif orders.task == SENSE:
         robot.sense(me, p)
+        if not p.ideal_camera:
+            robot.look(me, m.report, contacts, turn.tick, p)
         for j in contacts:
             robot.see(me, j, p)
     elif orders.task == ROUND:
@@ -110,19 +121,24 @@ class Process:
 
     def __init__(self, chosen, i, world):
         n, slots = chosen.n_agents, chosen.radio.delay
-        rows, entries = (n, n + 1) if chosen.lambda2 == "flooding" else (0, 0)
+        entry_rows, entries = (n, n + 1) if chosen.lambda2 == "flooding" else (0, 0)
         flat = np.zeros((1, chosen.observation_size), np.float32)
-        views = layout.rows(flat, chosen.max_neighbors, chosen.max_ranges)
+        views = layout.rows(flat, chosen.max_neighbors, chosen.max_ranges, chosen.n_detections)
+        detections = layout.detections(flat, chosen.n_detections)
         self.i, self.params, self.ranges = i, chosen.params(), views.ranges[0]
         self.contacts = np.array([j for j in range(n) if j != i], np.uint32)
         kinds = records.EGO, records.PEER, records.BELIEF
         arrays = [np.zeros(count, kind) for count, kind in zip((1, n, 1), kinds, strict=True)]
-        beats, table, mode = np.zeros(n, np.int64), np.zeros((rows, entries)), np.zeros(rows)
-        self.memory = Memory(*arrays, beats, table, mode, flat[0], views.own, views.neighbors[0])
-        self.said = mail(slots, n, entries, rows, unicast=(slots, n))
+        beats, table, mode = np.zeros(n, np.int64), np.zeros((entry_rows, entries)), np.zeros(entry_rows)
+        sizes = {name: shape for name, (shape, _) in state_arrays(chosen).items()}
+        camera = np.zeros(sizes["motion"][1], records.MOTION), np.zeros(sizes["blob"][1], records.BLOB), detections[0]
+        report = np.zeros(n, records.SIGHT)
+        rows = views.own, views.neighbors[0]
+        self.memory = Memory(*arrays, beats, table, mode, flat[0], *rows, *camera, report)
+        self.said = mail(slots, n, entries, entry_rows, unicast=(slots, n))
         own = scratch(n)
         self.work, self.bounds = (own.laplacian, own.spectrum, own.nearest), (world.low, world.high)
-        self.heard = mail(n, n, entries, rows, unicast=(n,))
+        self.heard = mail(n, n, entries, entry_rows, unicast=(n,))
 
     def do(self, task, turn, slot=0, x=0.0, leads=False, stick=(0.0, 0.0, 0.0)):
         orders = Orders(task, self.i, slot, x, leads, stick)
@@ -145,6 +161,12 @@ def start_draws(key, draws):
         draws[i] = 2.0 * random.uniform(random.draw(key, 0, i, random.START)) - 1.0
 
 
+@entry
+def start_missing(state, params):
+    for i in range(state.missing.shape[1]):
+        start_misses(i, state.missing[0, i], state.episode[0], params[0])
+
+
 @large_entry
 def nature(task, state, world, own, params, actions, tick):
     """The world's part: a TICK up to the sensors (the first one of a step: 0, of a warm-up: -1), AIR, END of a step."""
@@ -161,8 +183,14 @@ def nature(task, state, world, own, params, actions, tick):
         if tick >= 0 and world.fault.shape[1] > 0:
             now = (episode.step * p.ticks + tick + 1) * p.tick
             step.update_faults(state, world.fault[0], 0, now, p)
+        slots = state.report.shape[1]
         for i in range(n):
             measure_ego_motion(bodies[i], state.ego[0, i], i, episode, p)
+            if not p.ideal_camera:
+                contacts = own.col[own.indptr[i] : own.indptr[i + 1]]
+                report = state.report[0, (episode.n_rounds // p.rounds) % slots, i]
+                expose(i, bodies, pairs[i], state.ego[0, i], state.missing[0, i], report, contacts, episode, p)
+                continue
             for j in range(n):
                 if j != i:
                     sight, index = state.peer[0, i, j].sight, i * n + j
@@ -190,7 +218,7 @@ class Team:
         self.simulator, self.clock = Simulator(chosen), chosen.clock
         self.simulator.reset(seed)
         state, self.own = self.simulator.state, scratch(chosen.n_agents)
-        for name in ("ego", "peer", "belief", "beat", "broadcast", "unicast", "pair"):
+        for name in ("ego", "peer", "belief", "beat", "broadcast", "unicast", "pair", "report", "missing"):
             getattr(state, name).reshape(-1).view(np.uint8).fill(0)
         state.episode["n_rounds"] = 0
         self.slots, self.repeats = chosen.radio.delay, chosen.radio.delay == 1 and chosen.radio.loss == 0.0
@@ -199,6 +227,8 @@ class Team:
         start_draws(state.episode["key"][0], draws)
         for me, x in zip(self.robots, draws, strict=True):
             me.do(START, self.turn(0), x=x)
+        if state.report.shape[1]:
+            start_missing(state, self.simulator.params)
         for _ in range(self.simulator.warm_ticks):
             self.tick(-1, None)
         self.observe()
@@ -219,8 +249,12 @@ class Team:
         for me in self.robots:
             for name in MOTION:
                 me.memory.ego[name] = state.ego[name][0, me.i]
-            me.memory.peers["sight"][:] = state.sight[0, me.i]
-            me.do(SENSE, self.turn(0))
+            tick, slots = int(state.episode["n_rounds"][0]) // self.clock.rounds, state.report.shape[1]
+            if slots:
+                me.memory.report[:] = state.report[0, (tick + 1) % slots, me.i]
+            else:
+                me.memory.peers["sight"][:] = state.sight[0, me.i]
+            me.do(SENSE, self.turn(0)._replace(tick=tick))
         for _ in range(self.clock.rounds):
             number = int(state.episode["n_rounds"][0])
             turn, slot = self.turn(number), number % self.slots
@@ -273,6 +307,7 @@ FLIGHTS = {
         )
     },
     "flooding": {"lambda2": "flooding"},
+    "RealCamera": {"level": 2},
 }
 
 

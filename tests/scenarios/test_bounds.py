@@ -357,10 +357,11 @@ def test_the_size_is_that_of_the_arrays():
     for changes in (
         {},
         {"n_agents": 3, "radio": Radio(delay=7), "lambda2": "flooding"},
+        {"camera": {"latency": 0.1, "identify": 1.0}, "max_detections": 3},
     ):
         chosen = scenario(max_ranges=5, **changes)
         simulator = Simulator(chosen)
-        arrays = [*simulator.state[:-3], *simulator.world[:5]]
+        arrays = [*simulator.state[:-4], *simulator.world[:5]]
         assert sum(array.nbytes for array in arrays) == world_bytes(chosen)
 
 

@@ -88,6 +88,7 @@ GROUPS = {
     if dataclasses.is_dataclass(field.default_factory)
 }
 DERIVED = {*"round_time travel_time rest_ticks step_time axis_x axis_y axis_z power_team".split(), *SWITCHES}
+DERIVED |= set("ideal_camera frames_per_tick latency_ticks sight_hold burst_end burst_start false_share".split())
 # Settings that are no number, or reach the kernels in others.
 NOT_PLAIN = {
     "": {"name", "map", "faults"},

@@ -7,8 +7,8 @@ from tests.helpers import small
 
 
 def test_arrays_begin_cache_lines_and_share_no_byte():
-    world, state = allocate(small(lambda2="flooding", n_agents=3), 5, 2, 7)
-    for arrays in (state[:-3], [world.piece, world.vertex, world.waypoint, world.n_waypoints]):
+    world, state = allocate(small(lambda2="flooding", n_agents=3, camera={"identify": 1.0, "latency": 0.05}), 5, 2, 7)
+    for arrays in (state[:-4], [world.piece, world.vertex, world.waypoint, world.n_waypoints]):
         for number, array in enumerate(arrays, 1):
             assert array.ctypes.data % LINE == 0
             assert array.flags.c_contiguous

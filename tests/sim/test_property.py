@@ -10,6 +10,7 @@ import pytest
 
 from fovconn_env.kernel import step
 from fovconn_env.kernel.onboard import (
+    detections,
     flooding,
     liveness,
     messages,
@@ -385,10 +386,10 @@ def test_a_robot_in_touch_does_change_something():
 
 
 # ------------------------------------------------------------------------------- decentralised by the signatures
-MODULES = (flooding, liveness, messages, observation, power_iteration, relative_yaw, robot)
+MODULES = (detections, flooding, liveness, messages, observation, power_iteration, relative_yaw, robot)
 TRUTH = {"body", "bodies", "pair", "pairs", "flight", "flights", "world", "state", "piece", "vertex", "info", "infos"}
 TRUTH |= {"episode", "episodes", "key", "beliefs", "params"}
-FUNCTIONS = {"start", "sense", "see", "receive", "send", "send_note", "estimate_yaw", "observe"}  # a robot's
+FUNCTIONS = {"start", "sense", "look", "see", "receive", "send", "send_note", "estimate_yaw", "observe"}  # a robot's
 SLICES = {"Robot": ("b", "i"), "Outbox": ("b", "slot", "i"), "Message": ("b", "slot", "j")}  # of robot i, or of j
 
 
@@ -458,6 +459,7 @@ def test_step_hands_robots_nothing_else():
     tree = ast.parse(inspect.getsource(step))
     plain_numbers = {"x", "j", "p", "turn", "tick", "leads", "stick", "work", "bounds"}
     slices = {"robot_of(state, b, i)", "outbox_of(state, b, slot, i)", "contacts_of(scratch, i)", "message"}
+    slices |= {"report_of(state, b, (tick + 1) % slots, i)"}
     called = set()
     for name, call in calls(tree, "robot"):
         called.add(name)

@@ -147,7 +147,7 @@ def summary(evaluation: Evaluation) -> dict[str, Any]:
 MEANS = (
     "sct connected_share min_lambda2 mean_lambda2 progress duration time_to_goal links_lost_per_minute lost_by_range "
     "lost_by_view lost_by_occlusion lost_by_fault mutual_share one_way_share mean_speed saturated_share "
-    "bytes_per_second return v2_alignment yaw_valid_mutual yaw_valid_one_way"
+    "bytes_per_second return v2_alignment yaw_valid_mutual yaw_valid_one_way named_share name_swaps"
 ).split()
 
 

@@ -19,15 +19,16 @@ class Row(NamedTuple):
 
 
 FOLLOW = "LeaderFollow-v0"
+EVERYWHERE = [name for name, preset in PRESETS.items() if not preset.n_detections]  # networks do not read detections
 LEVELS = [("LossyRadio-v0", (("level", level),)) for level in (3, 4)]
 LEARNED = ("dagger", "ppo", "residual")
 ROWS = {
     "imitation": [Row("dagger", "expert", FOLLOW)],
     "teams": [Row("dagger", "expert", FOLLOW, (("n_agents", n),)) for n in (3, 4, 8, 12)],
     "reward": [Row(policy, "expert", FOLLOW) for policy in ("augmented", "cohesive", "residual", "ppo")],
-    "everywhere": [Row("residual", "augmented", name) for name in PRESETS]
+    "everywhere": [Row("residual", "augmented", name) for name in EVERYWHERE]
     + [Row(policy, "augmented", name, level) for name, level in LEVELS for policy in ("cohesive", "residual")],
-    "laws": [Row("residual", "cohesive", name) for name in PRESETS],
+    "laws": [Row("residual", "cohesive", name) for name in EVERYWHERE],
     "filter": [Row(f"lambda2-cbf:{policy}", policy, FOLLOW) for policy in LEARNED],
 }
 

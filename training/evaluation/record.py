@@ -32,7 +32,7 @@ MAX_BYTES = 256 << 20  # of a file; all policies on all scenarios with 320 episo
 SAMPLE = 4  # episodes of each result in a short record
 UNITS = {
     "never_disconnected success collision connected_share mutual_share one_way_share saturated_share": "share",
-    "yaw_valid_mutual yaw_valid_one_way": "share",
+    "yaw_valid_mutual yaw_valid_one_way named_share": "share",
     "sct progress return min_lambda2 mean_lambda2 v2_alignment split_lambda2_hat split_alignment": "1",
     "lambda2_error_median lambda2_error_p95 yaw_rms_mutual yaw_rms_one_way score": "1",
     "improvement": "probability",
@@ -41,6 +41,7 @@ UNITS = {
     "mean_speed": "m/s",
     "links_lost_per_minute": "1/min",
     "lost_by_range lost_by_view lost_by_occlusion lost_by_fault": "links",
+    "name_swaps": "names",
     "bytes_per_second": "B/s",
     "split_cause": "code",
 }

@@ -23,7 +23,7 @@ import numpy as np
 import fovconn_env
 from fovconn_env import Recording, Scenario, Simulator
 from fovconn_env.baselines import Policy, find_policy
-from fovconn_env.baselines.learned.inputs import ACTION, columns, full_scale
+from fovconn_env.baselines.learned.inputs import ACTION, check_named, columns, full_scale
 from fovconn_env.errors import SettingError, rule
 from fovconn_env.fields import check_array, check_keys, check_texts, check_whole
 from fovconn_env.files import Archive, Damaged, Kind, one_line, read_archive, write_archive
@@ -70,7 +70,8 @@ class Transitions(Observer):
     """An observer that keeps observations, actions and rewards of all robots of all worlds."""
 
     def begin(self, simulator: Simulator) -> None:
-        """Clear the kept rows."""
+        """Clear the kept rows; `SettingError` for a scenario with rows of what has no name."""
+        check_named(simulator.scenario)
         self.simulator = simulator
         self._steps: dict[str, list[np.ndarray]] = {
             name: [] for name in ("observations", "actions", "rewards", "going")

@@ -13,7 +13,7 @@ from gymnasium import spaces
 from fovconn_env import Scenario, Simulator
 from fovconn_env.baselines.laws.lambda2_cbf import Lambda2Cbf
 from fovconn_env.baselines.learned.cards import BASES
-from fovconn_env.baselines.learned.inputs import ACTION, gain
+from fovconn_env.baselines.learned.inputs import ACTION, check_named, gain
 from fovconn_env.baselines.learned.policy import correct_actions
 from fovconn_env.errors import rule
 from fovconn_env.flights.state_hash import frozen_dtypes
@@ -45,6 +45,8 @@ class Rows(RobotsVecEnv):
         n_threads: int | None = None,
     ) -> None:
         rule(base is None or base in BASES, "base", f"one of {', '.join(BASES)}", base, "a law without a memory")
+        for scenario in scenarios:
+            check_named(scenario)
         super().__init__(scenarios, n_worlds, n_threads=n_threads)
         self.gains = [gain(scenario) for scenario in scenarios]
         self.reward, self.bound, self.extra = reward, bound, ACTION if base else 0

@@ -180,3 +180,11 @@ def _reaches(x, y, ax, ay, bx, by, radius):
     """Whether (x, y) is within the radius of the segment a-b."""
     near_x, near_y = _nearest_on_segment(x, y, ax, ay, bx, by)
     return (x - near_x) ** 2 + (y - near_y) ** 2 <= radius * radius
+
+
+@kernel
+def perpendicular(x, y, z):
+    """Two unit vectors that are perpendicular to a unit vector and to each other; the first one is level."""
+    plan = math.sqrt(x * x + y * y)
+    c, s = (x / plan, y / plan) if plan > 1e-9 else (1.0, 0.0)
+    return (-s, c, 0.0), (-c * z, -s * z, plan)

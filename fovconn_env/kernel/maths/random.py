@@ -12,8 +12,8 @@ import numpy as np
 from fovconn_env.kernel.jit import kernel
 
 # purposes
-MISS, LOSS, START, FORCE, ROTOR, ACQUIRE, STICK = range(7)
-POSITION, VELOCITY, GYRO, ATTITUDE, RANGE = range(16, 21)
+MISS, LOSS, START, FORCE, ROTOR, ACQUIRE, STICK, FRAME, FALSE = range(9)
+POSITION, VELOCITY, GYRO, ATTITUDE, RANGE, BEARING = range(16, 22)
 BIAS = 32  # added to a purpose: drawn once an episode
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)

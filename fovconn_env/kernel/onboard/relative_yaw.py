@@ -37,21 +37,37 @@ def dead_reckon(ego, p):
 
 
 @kernel
+def carry(ego, x, y):
+    """Where a point of the last tick, that is at rest, is in this one; yaw frame, its horizontal part."""
+    c, s = ego.turn_cos, ego.turn_sin
+    return c * x - s * y - ego.shift_x, c * y + s * x - ego.shift_y
+
+
+@kernel
 def update_track(track, sight, ego, p):
     """Update position, f*_ij (10) and gamma_ij (9) of robot j from the camera.
 
-    A robot that was missed counts as still held for `coast` seconds, with its last values.
+    A robot that was missed counts as still held for `coast` seconds: with its last values, or where the camera is not
+    an ideal one, carried on by own odometry.
     """
-    if not sight.seen:
-        if track.held:
-            track.unseen += p.tick
-            track.held = track.unseen <= p.coast
-        if not track.held:
-            track.f = track.gamma = 0.0
+    if sight.seen:
+        track.held, track.unseen = True, 0.0
+        set_place(track, sight.x, sight.y, sight.z, ego, p)
         return
-    x, y, z = sight.x, sight.y, sight.z
+    if track.held:
+        track.unseen += p.tick
+        track.held = track.unseen <= p.sight_hold
+    if not track.held:
+        track.f = track.gamma = 0.0
+    elif not p.ideal_camera:
+        x, y = carry(ego, track.x, track.y)
+        set_place(track, x, y, track.z - p.tick * ego.vz, ego, p)
+
+
+@kernel
+def set_place(track, x, y, z, ego, p):
+    """Take a position of robot j (m, yaw frame) into its track, with f*_ij and gamma_ij."""
     distance = max(math.sqrt(x * x + y * y + z * z), 1e-9)
-    track.held, track.unseen = True, 0.0
     track.x, track.y, track.z, track.distance = x, y, z, distance
     track.f = sight_weight((ego.axis_x * x + ego.axis_y * y + ego.axis_z * z) / distance, p)
     track.gamma = range_weight(distance, p)
@@ -74,10 +90,11 @@ def estimate_yaw(track, sight, ego, inbox, p):
         return
     _update_observer(track, sight, ego, p)
     mutual, cos_direct, sin_direct = False, 1.0, 0.0
-    if seen_by_j and sight.seen:
+    current = sight.seen or not p.ideal_camera  # between two frames the place is carried on
+    if seen_by_j and current:
         mutual, cos_direct, sin_direct = _yaw_from_bearings(track, inbox)
     gain, norm, cos_hat, sin_hat = 0.0, 1.0, 1.0, 0.0
-    if recent and sight.seen and track.since >= p.yaw_hold and (p.yaw_product or not mutual):
+    if recent and current and track.since >= p.yaw_hold and (p.yaw_product or not mutual):
         gain, norm, cos_hat, sin_hat = _yaw_from_motion(track, inbox, p)
 
     c, s = track.cos_yaw, track.sin_yaw
@@ -116,9 +133,8 @@ def _update_observer(track, sight, ego, p):
         return
     track.since += p.tick
     track.lapse += p.tick
-    c, s, lapse = ego.turn_cos, ego.turn_sin, track.lapse
-    # where j would be now, had only i moved
-    lx, ly = c * track.lx - s * track.ly - ego.shift_x, c * track.ly + s * track.lx - ego.shift_y
+    lapse = track.lapse
+    lx, ly = carry(ego, track.lx, track.ly)  # where j would be now, had only i moved
     if not sight.seen:
         track.lx, track.ly = lx, ly
         return

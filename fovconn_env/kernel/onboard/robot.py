@@ -1,7 +1,8 @@
-"""What a robot consists of: eight functions, each on its own slices of the arrays.
+"""What a robot consists of: nine functions, each on its own slices of the arrays.
 
     start                      once an episode: nothing is heard or seen yet
     sense, see                 every tick: own motion <- odometry, IMU; the track of a contact <- camera
+    look                       between them, unless the camera is ideal: who is seen, and what has no name <- frames
     receive                    every message round, for each contact: inbox, beats, table <- its message
     send, send_note            every message round: messages <- what is on board; the part for one contact
     estimate_yaw               every tick, after its rounds, for each contact: relative yaw <- sight, odometry, inbox
@@ -21,6 +22,14 @@ import numpy as np
 
 from fovconn_env.kernel.jit import stage
 from fovconn_env.kernel.onboard import relative_yaw
+from fovconn_env.kernel.onboard.detections import (
+    carry_blobs,
+    carry_report,
+    match_blobs,
+    name_blobs,
+    store_motion,
+    write_detections,
+)
 from fovconn_env.kernel.onboard.flooding import build_laplacian, copy_table, merge_table, solve_table, write_own_row
 from fovconn_env.kernel.onboard.liveness import live_share, merge_beats, send_beats
 from fovconn_env.kernel.onboard.messages import receive_message, write_broadcast, write_unicast
@@ -48,6 +57,10 @@ class Robot(NamedTuple):
     flat: np.ndarray  # (D,) float32, the observation; the two below are views into it
     own_row: np.record  # SELF
     neighbor_rows: np.ndarray  # (M,) NEIGHBOR
+    # of a camera that is not ideal; of another their sizes are 0
+    motions: np.ndarray  # (L,) MOTION, own motion of the last ticks
+    blobs: np.ndarray  # (S,) BLOB, what the camera follows
+    detection_rows: np.ndarray  # (Q,) DETECTION
 
 
 @stage
@@ -65,6 +78,30 @@ def start(me, x, p):
 def sense(me, p):
     """Take in a tick's own motion."""
     relative_yaw.dead_reckon(me.ego, p)
+
+
+@stage
+def look(me, report, contacts, tick, p):
+    """Take in a tick's report of the camera, (N,) SIGHT of a frame some ticks ago: sights, and what has no name.
+
+    Places are those at the time of the frame. `report` is used up. tick: from 0.
+    """
+    store_motion(me.motions[tick % me.motions.shape[0]], me.ego, p)
+    carry_report(report, me.index, contacts, me.motions, tick)
+    carry_blobs(me.blobs, me.ego, p)
+    for j in contacts:
+        sight, seen = me.peers[j].sight, report[j]
+        sight.seen = p.identify == 0.0 and seen.seen
+        if sight.seen:
+            sight.x, sight.y, sight.z = seen.x, seen.y, seen.z
+            seen.seen = False
+    match_blobs(me.blobs, report, me.index, contacts, p)
+    if p.identify > 0.0:
+        name_blobs(me.blobs, me.index, p)
+        for blob in me.blobs:
+            if blob.matched and blob.name >= 0:
+                sight = me.peers[blob.name].sight
+                sight.seen, sight.x, sight.y, sight.z = True, blob.x, blob.y, blob.z
 
 
 @stage
@@ -126,6 +163,8 @@ def observe(me, contacts, tick, leads, stick, work, bounds, p):
         solve_table(me.belief, me.mode, work[0], work[1], me.index)
     write_self(me.own_row, me.ego, me.belief, live_share(me.beats, tick, p), leads, stick)
     present = sort_present(work[2], me.peers, contacts)
+    if me.detection_rows.shape[0] > 0:
+        write_detections(me.detection_rows, me.blobs)
     write_neighbors(me.neighbor_rows, work[2][:present], me.peers, me.belief, me.mode, p)
     clip(me.flat, bounds[0], bounds[1])
     return max(present - me.neighbor_rows.shape[0], 0)

@@ -1,6 +1,6 @@
 """Pairs: the true geometry of every pair, and what a camera measures of it.
 
-This file, `odometry` and `rangefinder` are the only ones that turn the true state into what a robot measures.
+This file, `frames`, `odometry` and `rangefinder` are the only ones that turn the true state into what a robot measures.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import math
 
 from fovconn_env.kernel.jit import kernel
 from fovconn_env.kernel.maths import random
-from fovconn_env.kernel.maths.geometry import sight_blocked, tilt, untilt
+from fovconn_env.kernel.maths.geometry import perpendicular, sight_blocked, tilt, untilt
 
 BY_SIGHT, BY_RANGE = range(2)  # scenarios.params.SWITCHES["link"]
 SMALL = 16  # robots up to which it is faster to visit all pairs
@@ -150,7 +150,7 @@ def measure_relative_position(me, other, pair, ego, sight, index, episode, p):
     index: i N + j, for the noise.
     """
     sight.seen = pair.seen
-    if sight.seen and p.miss > 0.0:
+    if sight.seen and p.miss > 0.0 and p.burst == 0.0:
         sight.seen = random.uniform(random.draw(episode.key, episode.n_rounds, index, random.MISS)) >= p.miss
     if not sight.seen:
         return
@@ -160,7 +160,23 @@ def measure_relative_position(me, other, pair, ego, sight, index, episode, p):
         key, tick = episode.key, episode.n_rounds
         a, b, c = random.sensor_error(key, tick, index, random.POSITION, p.position_noise, p.position_bias)
         x, y, z = x + a, y + b, z + c
+    if p.bearing_noise > 0.0 or p.depth_noise > 0.0:
+        x, y, z = disturb(x, y, z, random.normal_triple(episode.key, episode.n_rounds, index, random.BEARING), p)
     if ego.roll != me.roll or ego.pitch != me.pitch:
         x, y, z = untilt(x, y, z, me.roll, me.pitch)  # to the camera, which the body carries
         x, y, z = tilt(x, y, z, ego.roll, ego.pitch)  # and back with the attitude that its IMU measures
     sight.x, sight.y, sight.z = x, y, z
+
+
+@kernel
+def disturb(x, y, z, errors, p):
+    """A position (m, from the camera) with errors of bearing and distance; errors: three standard normal numbers.
+
+    The error of a distance grows with its square, as of a size in the picture, or between two cameras.
+    """
+    distance = max(math.sqrt(x * x + y * y + z * z), 1e-9)
+    bx, by, bz = x / distance, y / distance, z / distance
+    (ux, uy, uz), (wx, wy, wz) = perpendicular(bx, by, bz)
+    a, b = p.bearing_noise * errors[0], p.bearing_noise * errors[1]
+    distance *= max(1.0 + p.depth_noise * distance * errors[2], 0.05)  # in front of the camera, whatever the error
+    return distance * (bx + a * ux + b * wx), distance * (by + a * uy + b * wy), distance * (bz + a * uz + b * wz)

@@ -173,3 +173,14 @@ def yaw_error(a, b, track):
     c, s = a.cos_yaw * b.cos_yaw + a.sin_yaw * b.sin_yaw, a.cos_yaw * b.sin_yaw - a.sin_yaw * b.cos_yaw
     cos_error, sin_error = track.cos_used * c + track.sin_used * s, track.sin_used * c - track.cos_used * s
     return abs(sin_error) / max(1.0 + cos_error, 1e-9)
+
+
+@kernel
+def count_swaps(blobs):
+    """How many names a robot has in this tick passed on to something else than the robot that they are of."""
+    swaps = 0
+    for blob in blobs:
+        wrong = blob.used and blob.name >= 0 and blob.name != blob.code
+        swaps += wrong and not blob.wrong
+        blob.wrong = wrong
+    return swaps
