@@ -54,7 +54,7 @@ results: $(VENV)/installed-demo  ## fly all that docs/results shows (about an ho
 	$(BIN)/fovconn eval $(LONG) --seeds 0-999 --out out/results/thousand --json docs/results/thousand.json
 	$(BIN)/fovconn eval $(LONG) --seeds 0-999 --set stick_speed=2.5 --out out/results/fast --json docs/results/fast.json
 	$(BIN)/fovconn figures --ablations --seeds 0-319 --out out/results/ablations --json docs/results/ablations.json
-	$(BIN)/python -m fovconn_env.training.evaluation levels learned
+	$(BIN)/python -m fovconn_env.training.evaluation levels learned cameras
 	cp out/results/ablations/ablations.png docs/images/
 	cp $(addprefix out/results/full/plots/,$(SHOWN)) docs/images/
 	$(BIN)/python docs/shrink.py

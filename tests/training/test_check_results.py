@@ -52,7 +52,8 @@ def test_bars_of_levels(kept, count, holds):
 
 def test_what_is_missing_is_told():
     records = {
-        name: Record("eval", [0], {}, []) for name in ("full", "thousand", "fast", "levels", "learned", "ablations")
+        name: Record("eval", [0], {}, [])
+        for name in ("full", "thousand", "fast", "levels", "learned", "ablations", "cameras")
     }
     tasks = [Result(task.policy, task.scenario, dict(task.settings), task.count, {}) for task in levels.study().tasks]
     records["levels"] = Record("levels", [0], {}, tasks)
@@ -84,7 +85,7 @@ def test_code_that_a_record_names_is_not_run(tmp_path, monkeypatch):
     for name in ("evil.py:Evil", "safe:evil.py", "evil:Evil"):
         rows = [result(name, 0.9)._replace(episodes={"duration": [1.0]})]
         records = dict.fromkeys(
-            ("full", "thousand", "fast", "levels", "learned", "ablations"), Record("eval", [0], {}, [])
+            ("full", "thousand", "fast", "levels", "learned", "ablations", "cameras"), Record("eval", [0], {}, [])
         )
         records["fast"] = Record("eval", [0], {name: {"overrides": {}, "oracle": False}}, rows)
         assert "fast is of our own policies" in failed(complete(records))

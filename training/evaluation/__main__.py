@@ -10,12 +10,13 @@ import sys
 import time
 from collections.abc import Sequence
 
-from fovconn_env.training.evaluation import learned, levels
+from fovconn_env.training.evaluation import cameras, learned, levels
+from fovconn_env.training.evaluation.ablations import BASE
 from fovconn_env.training.evaluation.check_results import ROOT, check
-from fovconn_env.training.evaluation.record import to_json, write_json
+from fovconn_env.training.evaluation.record import Record, to_json, write_json
 from fovconn_env.training.evaluation.study import fly, record
 
-STUDIES = {"levels": levels.study, "learned": learned.study}
+STUDIES = {"levels": levels.study, "learned": learned.study, "cameras": cameras.study}
 
 
 def main(names: Sequence[str]) -> int:
@@ -31,7 +32,19 @@ def main(names: Sequence[str]) -> int:
         evaluations = fly(study, ROOT / "out" / "results" / "full" / "episodes", _show)
         result = record(study, evaluations, time.perf_counter() - began)
         print("\nwrote", write_json(ROOT / "docs" / "results" / f"{name}.json", to_json(result.short())))
+        if name == "cameras":
+            draw_cameras(result)
     return 0
+
+
+def draw_cameras(result: Record) -> None:
+    """Draw the study of cameras into docs/images, a picture each measure."""
+    from fovconn_env.training.evaluation.ablation_picture import draw_sweeps
+
+    about = f"{BASE}, seeds 0-{len(result.seeds) - 1}, 95 % intervals of shares"
+    for measure, label in cameras.MEASURES.items():
+        path = ROOT / "docs" / "images" / f"cameras_{measure}.png"
+        print("wrote", draw_sweeps(result, cameras.PANELS, measure, label, path, about))
 
 
 def _show(done: float, total: int) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,12 +35,34 @@ def draw(record: Record, path: Path, about: str) -> Path:
         handles: dict[str, Any] = {}
         for axes, panel in zip(grid.flat, PANELS, strict=True):
             results = [record.find(*point.task) for point in panel.points]
-            (_lines if panel.axis else _bars)(axes, panel, results)
+            if panel.axis:
+                _lines(axes, panel, results, KEPT)
+            else:
+                _bars(axes, panel, results)
             axes.set_title(panel.title)
             axes.yaxis.set_major_formatter(PercentFormatter(1.0))
             handles |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
         grid[0, 0].set(ylabel="teams", ylim=(0.0, 1.04))
         grid[1, 0].set(ylabel="teams never disconnected")
+        figure.legend(handles.values(), handles.keys(), loc="outside lower right", ncols=len(handles))
+        figure.supxlabel(about, fontsize=8, color=FAINT, x=0.01, ha="left")
+        return save(figure, path)
+
+
+def draw_sweeps(record: Record, panels: Sequence[Panel], measure: str, label: str, path: Path, about: str) -> Path:
+    """Draw one measure of a record over the axes of sweeps to a PNG; `about` is written below."""
+    with matplotlib.rc_context(RC):
+        figure = sheet(11.0, 5.6)
+        grid = figure.subplots(2, len(panels) // 2, sharey=True, squeeze=False)
+        handles: dict[str, Any] = {}
+        for axes, panel in zip(grid.flat, panels, strict=True):
+            _lines(axes, panel, [record.find(*point.task) for point in panel.points], measure)
+            axes.set_title(panel.title)
+            if measure == KEPT:
+                axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+            handles |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+        grid[0, 0].set_ylim(bottom=0.0)
+        figure.supylabel(label, fontsize=10)
         figure.legend(handles.values(), handles.keys(), loc="outside lower right", ncols=len(handles))
         figure.supxlabel(about, fontsize=8, color=FAINT, x=0.01, ha="left")
         return save(figure, path)
@@ -66,13 +89,13 @@ def _bars(axes: Axes, panel: Panel, results: list[Result]) -> None:
     axes.grid(visible=False, axis="x")
 
 
-def _lines(axes: Axes, panel: Panel, results: list[Result]) -> None:
+def _lines(axes: Axes, panel: Panel, results: list[Result], measure: str) -> None:
     policies = list(dict.fromkeys(point.policy for point in panel.points))
     places = sorted({point.at or 0.0 for point in panel.points})
     for m, policy in enumerate(policies):
         chosen = [k for k, point in enumerate(panel.points) if point.policy == policy]
         at = [places.index(panel.points[k].at or 0.0) + 0.12 * (m - 1) for k in chosen]  # side by side: none is hidden
-        shares, spread = _spread([results[k] for k in chosen], KEPT)
+        shares, spread = _spread([results[k] for k in chosen], measure)
         color, style = _STYLE[policy]
         axes.errorbar(at, shares, spread, fmt=style, color=color, label=policy, ms=5, lw=1.5, elinewidth=0.9, capsize=2)
     axes.set_xlabel(panel.axis)

@@ -32,7 +32,8 @@ class Panel(NamedTuple):
     points: list[Point]
 
 
-def _sweep(title: str, axis: str, policies: Sequence[str], settings: dict[float, dict[str, Any]]) -> Panel:
+def sweep(title: str, axis: str, policies: Sequence[str], settings: dict[float, dict[str, Any]]) -> Panel:
+    """Each policy under the settings of each place on the axis."""
     return Panel(
         title, axis, [Point(policy, policy, at, changes) for policy in policies for at, changes in settings.items()]
     )
@@ -74,25 +75,29 @@ PANELS = (
         ],
     ),
     Panel("Weight of a link", "", [Point("expert", "one looks (11)"), Point("both-look", "both look")]),
-    _sweep(
+    sweep(
         "Message rate",
         "rounds/s",
         _COMPARED,
         dict([_rate(20, 0.05, 1, 1), _rate(40, 0.025, 2, 1), _rate(100, 0.01, 5, 1), _rate(200, 0.01, 5, 2)]),
     ),
-    _sweep("Lost messages", "share", _COMPARED, {loss: {"radio.loss": loss} for loss in (0.0, 0.1, 0.3, 0.5, 0.7)}),
-    _sweep(
+    sweep("Lost messages", "share", _COMPARED, {loss: {"radio.loss": loss} for loss in (0.0, 0.1, 0.3, 0.5, 0.7)}),
+    sweep(
         "Leader's speed",
         "stick, m/s",
         _COMPARED,
         {speed: {"stick_speed": speed} for speed in (0.5, 1.0, 1.5, 2.0, 2.5)},
     ),
-    _sweep("Robots", "N", _COMPARED, {float(n): {"n_agents": n} for n in (3, 6, 12, 18, 24)}),
+    sweep("Robots", "N", _COMPARED, {float(n): {"n_agents": n} for n in (3, 6, 12, 18, 24)}),
 )
 
 
 def study(seeds: Sequence[int]) -> Study:
     """What all panels need, each task once."""
-    points = dict.fromkeys((point.policy, tuple(point.changes.items())) for panel in PANELS for point in panel.points)
-    tasks = [Task(policy, BASE, settings, len(seeds)) for policy, settings in points]
-    return Study("ablations", seeds, tasks)
+    return Study("ablations", seeds, tasks_of(PANELS, len(seeds)))
+
+
+def tasks_of(panels: Sequence[Panel], count: int) -> list[Task]:
+    """What these panels need, each task once, from `count` seeds."""
+    points = dict.fromkeys((point.policy, tuple(point.changes.items())) for panel in panels for point in panel.points)
+    return [Task(policy, BASE, settings, count) for policy, settings in points]

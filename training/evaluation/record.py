@@ -1,7 +1,7 @@
 """What a study measured, as numbers with names and units, and the JSON file that holds them; `tables` makes text of it.
 
 A measure is a number, or [value, low, high] with its 95 % interval; null is NaN. The same format serves every study:
-`fovconn eval`, levels, learned policies, ablations.
+`fovconn eval`, levels, learned policies, ablations, cameras.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Result(NamedTuple):
 class Record(NamedTuple):
     """A study: results in the order they were flown, and what they come from."""
 
-    study: str  # what kind of tables is made of it: eval, levels, learned, ablations
+    study: str  # what kind of tables is made of it: eval, levels, learned, ablations, cameras
     seeds: list[int]  # each result has the first `count` of them
     policies: dict[str, dict[str, Any]]  # see `about`
     results: list[Result]

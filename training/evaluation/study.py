@@ -1,4 +1,4 @@
-"""A study: tasks flown once each, and the record made of them. The studies are `levels`, `learned` and `ablations`."""
+"""A study: tasks flown once each, and the record made of them: `levels`, `learned`, `cameras` or `ablations`."""
 
 from __future__ import annotations
 

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from fovconn_env import Scenario, scenario
-from fovconn_env.training.evaluation.ablations import PANELS
+from fovconn_env.training.evaluation import cameras
+from fovconn_env.training.evaluation.ablations import PANELS, Panel
 from fovconn_env.training.evaluation.comparison import EXPERT
 from fovconn_env.training.evaluation.leaderboard_tables import leaderboard_tables
 from fovconn_env.training.evaluation.learned import ROWS, Row
@@ -192,10 +193,10 @@ def learned_table(record: Record, rows: Sequence[Row]) -> Table:
     return head, lines
 
 
-def ablation_table(record: Record) -> Table:
-    """All points of all panels of the ablations."""
+def ablation_table(record: Record, panels: Sequence[Panel] | None = None) -> Table:
+    """All points of all panels, those of the ablations by default."""
     rows = []
-    for panel in PANELS:
+    for panel in panels or PANELS:
         title = f"{panel.title}, {panel.axis}" if panel.axis else panel.title
         for point in panel.points:
             measures = record.find(*point.task).measures
@@ -206,12 +207,24 @@ def ablation_table(record: Record) -> Table:
     return ["study", "point", "policy", "kept %", "success %", "progress", "lambda2 error p50"], rows
 
 
+def camera_table(record: Record) -> Table:
+    """All points of the sweeps over what a camera lacks, with what they are drawn by."""
+    head, rows = ablation_table(record, cameras.PANELS)
+    points = [point for panel in cameras.PANELS for point in panel.points]
+    for row, point in zip(rows, points, strict=True):
+        measures = record.find(*point.task).measures
+        row += [number(measures[name].value, ".3f") for name in ("yaw_rms_mutual", "yaw_rms_one_way", "named_share")]
+        row.append(number(measures["name_swaps"].value, ".2f"))
+    return [*head, "yaw, mutual", "yaw, one-way", "named share", "swaps a flight"], rows
+
+
 _STUDIES: dict[str, Callable[[Record], dict[str, Table]]] = {
     "eval": _eval_tables,
     "levels": _level_tables,
     "learned": lambda record: {name: learned_table(record, rows) for name, rows in ROWS.items()},
     "ablations": lambda record: {"points": ablation_table(record)},
     "leaderboard": leaderboard_tables,
+    "cameras": lambda record: {"points": camera_table(record)},
 }
 
 
