@@ -2,7 +2,7 @@
 
 It covers a frozen list of fields for each format, so that a field that is added or renamed later changes no hash.
 Format 1 is that of version 0.1.0, which hashed the bytes of its records: what lies between two fields, and fields that
-are no more, are 0. Format 2 is the fields alone, one after the other.
+are no more, are 0. Format 2 is the fields alone, one after the other. Format 3 has those of cameras that are not ideal.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from fovconn_env.errors import rule
 from fovconn_env.kernel.records import State
 from fovconn_env.sim.simulator import Simulator
 
-FORMATS = (1, 2)
+FORMATS = (1, 2, 3)
 NEWEST = FORMATS[-1]
 # Arrays of the state and fields of their records, under today's names, each group behind its type. Frozen.
 _ARRAYS = {
@@ -48,6 +48,14 @@ _ARRAYS = {
     "reward": "f8",
     "flat": "f4",
 }
+# What format 3 has beyond the others: more fields of an array, or more arrays behind them. Frozen.
+_ADDED = {
+    "info": "f8 name_swaps",
+    "report": "b1 seen f8 x y z",
+    "missing": "b1",
+    "motion": "f8 turn_cos turn_sin shift_x shift_y rise",
+    "blob": "b1 used matched wrong i8 name code f8 x y z age unseen read",
+}
 _GONE = {"track": ("qx", "qy")}  # v_j filtered like e, of an option that was taken out
 _TYPES = ("f8", "f4", "i8", "u8", "b1")
 
@@ -76,8 +84,11 @@ def hash_state(state: State, world: int, *, format: int = NEWEST) -> str:
 @functools.cache
 def frozen_dtypes(format: int) -> dict[str, np.dtype]:
     """The types of a format's arrays, in the order in which they are hashed."""
-    dtypes = {}
-    for name, text in _ARRAYS.items():
+    dtypes, arrays = {}, dict(_ARRAYS)
+    if format >= 3:
+        for name, text in _ADDED.items():
+            arrays[name] = f"{arrays.get(name, '')} {text}"
+    for name, text in arrays.items():
         fields, kind = [], ""
         for word in text.split():
             if word in _TYPES:
