@@ -330,9 +330,12 @@ def sense(state, scratch, b, p):
         robot.see(robot_of(state, b, i), j, p)
 
 
-@stage
+@kernel
 def look_around(state, scratch, b, p):
-    """Every camera that is not ideal takes its frame, and reports the one of `latency` ago."""
+    """Every camera that is not ideal takes its frame, and reports the one of `latency` ago.
+
+    No stage: within `run` it would slow down all that has ideal cameras.
+    """
     bodies, pairs, episode, n = state.body[b], state.pair[b], state.episode[b], state.body.shape[1]
     slots, tick = state.report.shape[1], episode.n_rounds // p.rounds
     for i in range(n):

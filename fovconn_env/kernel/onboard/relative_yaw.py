@@ -50,23 +50,20 @@ def update_track(track, sight, ego, p):
     A robot that was missed counts as still held for `coast` seconds: with its last values, or where the camera is not
     an ideal one, carried on by own odometry.
     """
+    x, y, z = sight.x, sight.y, sight.z
     if sight.seen:
         track.held, track.unseen = True, 0.0
-        set_place(track, sight.x, sight.y, sight.z, ego, p)
-        return
-    if track.held:
-        track.unseen += p.tick
-        track.held = track.unseen <= p.sight_hold
-    if not track.held:
-        track.f = track.gamma = 0.0
-    elif not p.ideal_camera:
+    else:
+        if track.held:
+            track.unseen += p.tick
+            track.held = track.unseen <= p.sight_hold
+        if not track.held:
+            track.f = track.gamma = 0.0
+            return
+        if p.ideal_camera:
+            return
         x, y = carry(ego, track.x, track.y)
-        set_place(track, x, y, track.z - p.tick * ego.vz, ego, p)
-
-
-@kernel
-def set_place(track, x, y, z, ego, p):
-    """Take a position of robot j (m, yaw frame) into its track, with f*_ij and gamma_ij."""
+        z = track.z - p.tick * ego.vz
     distance = max(math.sqrt(x * x + y * y + z * z), 1e-9)
     track.x, track.y, track.z, track.distance = x, y, z, distance
     track.f = sight_weight((ego.axis_x * x + ego.axis_y * y + ego.axis_z * z) / distance, p)
