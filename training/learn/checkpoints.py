@@ -81,6 +81,10 @@ def check_state(stored: Mapping[str, np.ndarray], state: State, n_agents: int) -
         rule(plain, f"state/{name}", f"of the type {mine.dtype}", str(array.dtype), hint)
     episode = stored["state/episode"]
     _check_index("leader", episode["leader"], n_agents)
+    blob = stored["state/blob"]
+    if blob.size:
+        _check_index("name", blob["name"] + 1, n_agents + 1)  # -1: unknown
+        _check_index("code", blob["code"], n_agents)
     for field in ("waypoint", "step", "n_rounds", "max_steps"):
         _check_index(field, episode[field], 2**62)
 

@@ -17,6 +17,7 @@ from fovconn_env.baselines.learned.inputs import ACTION, check_named, gain
 from fovconn_env.baselines.learned.policy import correct_actions
 from fovconn_env.errors import rule
 from fovconn_env.flights.state_hash import frozen_dtypes
+from fovconn_env.kernel.records import State
 from fovconn_env.training.learn.checkpoints import below, check_like, check_state, check_world, generators
 from fovconn_env.training.sb3 import EPISODE_KEYS, RobotsVecEnv
 
@@ -171,6 +172,7 @@ def unpack_simulator(simulator: Simulator, arrays: Mapping[str, np.ndarray]) -> 
     """Restore the state of `pack_simulator`. Raises `SettingError` for a simulator with other settings."""
     if "state/own" in arrays:
         arrays = {**arrays, **_state_of_version_0_1(arrays)}
+    arrays = _with_later_fields(arrays, simulator.state)
     n_agents = simulator.scenario.n_agents
     check_state(arrays, simulator.state, n_agents)
     check_world(arrays, simulator.world, n_agents)
@@ -180,6 +182,20 @@ def unpack_simulator(simulator: Simulator, arrays: Mapping[str, np.ndarray]) -> 
     world = simulator.world
     kept = {name: arrays[f"world/{name}"].astype(array.dtype) for name, array in world._asdict().items()}
     simulator.world = world._replace(**kept)
+
+
+def _with_later_fields(arrays: Mapping[str, np.ndarray], state: State) -> dict[str, np.ndarray]:
+    """The arrays of a checkpoint with what those before 0.3 lack: names that passed on, and cameras that are not ideal.
+
+    Of ideal ones these arrays are empty.
+    """
+    kept, info = dict(arrays), arrays.get("state/info", np.zeros(()))
+    names = info.dtype.names or ()
+    if names and "name_swaps" not in names and set(names) <= set(state.info.dtype.names or ()):
+        kept["state/info"] = np.zeros(info.shape, state.info.dtype)
+        for name in names:
+            kept["state/info"][name] = info[name]
+    return {f"state/{name}": array for name, array in state.arrays().items() if not array.size} | kept
 
 
 def _copy_fields(target: np.ndarray, source: np.ndarray) -> None:
