@@ -11,6 +11,7 @@ from typing import Any
 
 from fovconn_env.baselines.function import Function, FunctionPolicy, from_function
 from fovconn_env.baselines.laws.ablations import AllSeeing, BothLook, Flooding, NoYaw, Omni, Oracle
+from fovconn_env.baselines.laws.adaptive import Adaptive
 from fovconn_env.baselines.laws.augmented import Augmented
 from fovconn_env.baselines.laws.cohesive import Cohesive
 from fovconn_env.baselines.laws.expert import Expert
@@ -39,6 +40,7 @@ POLICIES: dict[str, type[Policy]] = {
     "cohesive": Cohesive,
     "recovery": Recovery,
     "fov-cbf": FovCbfAugmented,
+    "adaptive": Adaptive,
     "oracle": Oracle,
     "oracle-all-seeing": AllSeeing,
     **{file.stem: from_file(file) for file in sorted(FOLDER.glob(f"*{SUFFIX}"))},  # read when first made

@@ -102,6 +102,20 @@ def test_recovery_brings_the_team_together_again():
     assert found["collision"] == 0.0
 
 
+def test_adaptive_passes_a_narrow_gap():
+    """A team whose robots keep each other in view stays before it; one that follows gets through."""
+    kept, followed = (fly(policy, "Corridor-v0", 20, level=2) for policy in ("fov-cbf", "adaptive"))
+    assert followed["success"] > kept["success"] + 0.25
+    assert followed["collision"] == 0.0
+
+
+def test_adaptive_does_not_see_walls_where_there_are_none():
+    """Following, a team with narrow cameras falls apart."""
+    kept, followed = (fly(policy, "NarrowCamera-v0", 20, level=2) for policy in ("adaptive", "follow"))
+    assert kept["success"] > followed["success"] + 0.6
+    assert kept["collision"] == 0.0
+
+
 def test_leader_obstacles():
     """The law knows nothing of occlusion: it loses some teams, hits nothing."""
     report = fly("expert", "LeaderObstacles-v0", 60)

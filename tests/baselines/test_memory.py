@@ -60,6 +60,7 @@ def documented():
 
 REMEMBER = {
     "recovery": "recovery",
+    "adaptive": "adaptive",
     "filtered": "lambda2-cbf:recovery",
     "own": Smooth,
     "own filtered": filtered("lambda2-cbf", Smooth),

@@ -20,7 +20,7 @@ from tests.helpers import COARSE, SETTLED, few, recorded_actions, small
 pytestmark = pytest.mark.nojit
 
 ROOT = Path(__file__).parents[2]
-MEMORYLESS = sorted(set(POLICIES) - {"recovery"})
+MEMORYLESS = sorted(set(POLICIES) - {"recovery", "adaptive"})
 TOP = 2.5  # m/s: speed_limit + stick_speed
 HALF = np.sqrt(0.5)
 AHEAD = {"present": 1, "f_ij": 1.0, "weight": 1.0, "bearing_x": 1.0}  # a robot it sees, 45 deg right of its camera
@@ -104,7 +104,7 @@ def test_it_flies_and_says_what_it_is(name):
 
 def test_order_of_the_table():
     names = "zero random follow springs omni both-look expert-no-yaw expert expert-flooding augmented".split()
-    names += ["cohesive", "recovery", "fov-cbf"]
+    names += ["cohesive", "recovery", "fov-cbf", "adaptive"]
     oracles = ["oracle", "oracle-all-seeing"]
     assert [name for name, kind in POLICIES.items() if not issubclass(kind, Learned)] == names + oracles
     assert [name for name in POLICIES if POLICIES[name].oracle] == oracles
