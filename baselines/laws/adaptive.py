@@ -92,6 +92,8 @@ class Adaptive(Policy):
         """Actions (R, 4) for flat observations (R, D); the rows have the same order in every step."""
         if len(self._memory) != len(flat):
             self._remember(len(flat))
+            for law in self._laws:  # compiled now, not in flight when a wall comes near
+                self._filter(flat[:1], law.decide(flat[:1]))
         choose(*self.rows(flat), self._params, self._settings, self._memory, self._points)
         actions = np.empty((len(flat), 4), np.float32)
         for k, law in enumerate(self._laws):
