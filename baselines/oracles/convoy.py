@@ -10,6 +10,7 @@ import math
 
 from fovconn_env.baselines.oracles.links import LEAVE, breaks_bridge, holds, lasts, speed_in_view
 from fovconn_env.baselines.oracles.motion import BRAVE, CLOSE, PULL, ask, keep_away
+from fovconn_env.baselines.oracles.plan import GATHER
 from fovconn_env.kernel.jit import kernel
 from fovconn_env.kernel.maths.weights import range_weight
 
@@ -34,11 +35,17 @@ def list_chain(truth, plan, b, s):
 
 @kernel
 def choose_parents(truth, plan, b, s, p):
-    """Give each robot the parent nearest ahead of it in the convoy among those that its camera holds."""
+    """Give each robot the parent nearest ahead of it in the convoy among those that its camera holds.
+
+    While the team gathers, one that cannot see keeps to the leader, which then looks at it.
+    """
     for r in range(1, s.chain.shape[0]):
         i = s.chain[r]
         if i < 0:
             break
+        if plan.stage[b] == GATHER and not truth.sees[b, i]:
+            plan.parent[b, i] = s.chain[0]
+            continue
         best, found = -math.inf, -1
         for q in range(r):
             j = s.chain[q]

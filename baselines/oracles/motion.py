@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from fovconn_env.baselines.oracles.links import turns_from_bridge
-from fovconn_env.baselines.oracles.plan import CONVOY
+from fovconn_env.baselines.oracles.plan import CONVOY, GATHER
 from fovconn_env.kernel.jit import kernel
 from fovconn_env.kernel.maths.geometry import nearest_on_piece
 from fovconn_env.kernel.maths.weights import range_weight
@@ -22,17 +22,21 @@ ASIDE = 0.8  # from a_min to a_max, where a camera has its parent at least when 
 def keep_away(truth, plan, b, i, close, s):
     """Velocity away from robots nearer than `close`, m, in plan, so that no line of sight becomes steep.
 
-    In the convoy a robot gives way to one before it in the order that flies towards it: aside, off the other's route.
+    It flies past what stays behind. In the convoy a robot gives way to one before it in the order that flies towards
+    it: aside, off the other's route.
     """
     at = truth.position[b]
     vx = vy = 0.0
     for j in range(at.shape[0]):
         d = s.distance[i, j]
-        reach = close if s.place[j] >= 0 else max(close, DEAD)
+        flies = s.place[j] >= 0
+        reach = close if flies else DEAD
         if j == i or d >= reach:
             continue
         x, y = at[i, 0] - at[j, 0], at[i, 1] - at[j, 1]
         push = PUSH * (reach - d)
+        if not flies:  # past it, on the right
+            x, y = x - y, y + x
         if plan.stage[b] == CONVOY and 0 <= s.place[j] < s.place[i] and s.speed[j] > 0.1:
             tx, ty = s.tangent[j, 0], s.tangent[j, 1]
             along = x * tx + y * ty
@@ -111,7 +115,7 @@ def look(truth, plan, b, s, p, actions):
         r = s.place[i]
         if not truth.alive[b, i] or r < 0:
             continue
-        parent = plan.parent[b, i] if r > 0 else s.chain[min(1, s.chain.shape[0] - 1)]
+        parent = plan.parent[b, i] if r > 0 else first_to_see(truth, plan, b, s)
         if parent < 0 or turns_from_bridge(truth, b, s, i, parent, p):
             continue
         dx, dy = at[parent, 0] - at[i, 0], at[parent, 1] - at[i, 1]
@@ -125,6 +129,16 @@ def look(truth, plan, b, s, p, actions):
         vy = plan.velocity[b, parent, 1] - plan.velocity[b, i, 1]
         rate = (dx * vy - dy * vx) / max(length * length, 0.25)
         actions[b, i, 3] = turn_towards(truth, b, i, c * ux - d * uy, d * ux + c * uy, rate, p)
+
+
+@kernel
+def first_to_see(truth, plan, b, s):
+    """Whom the leader looks at: while the team gathers one that cannot see, else the next of the convoy; -1 nobody."""
+    for r in range(1, s.chain.shape[0]):
+        i = s.chain[r]
+        if i >= 0 and plan.stage[b] == GATHER and not truth.sees[b, i]:
+            return i
+    return s.chain[1]
 
 
 @kernel
