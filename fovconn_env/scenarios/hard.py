@@ -12,11 +12,6 @@ from typing import Any, NamedTuple
 from fovconn_env.maps.forest import Forest
 from fovconn_env.scenarios.settings import Airframe, Fault
 
-_LATE = {"radio.loss": 0.3, "radio.delay": 80}  # rounds: 0.4 s
-_SLOW = {"radio.loss": 0.3, "radio.delay": 40}
-_VIEW_30 = {"camera.a_min": math.cos(math.radians(30.0)), "camera.a_max": math.cos(math.radians(10.0))}
-_TURN_BACK = {"course.turn_low": math.radians(150.0), "course.turn_high": math.radians(180.0)}
-
 
 class Task(NamedTuple):
     """A level of a preset with settings changed."""
@@ -27,49 +22,80 @@ class Task(NamedTuple):
     summary: str  # what is hard, in a line
 
 
+def _view(edge: float, full: float) -> dict[str, Any]:
+    """A camera that sees up to `edge` degrees off its axis, and from `full` degrees on with the full weight."""
+    return {"camera.a_min": math.cos(math.radians(edge)), "camera.a_max": math.cos(math.radians(full))}
+
+
+_VIEW_45, _VIEW_30 = _view(45.0, 15.0), _view(30.0, 10.0)
+_LATE = {"radio.loss": 0.3, "radio.delay": 40}  # rounds: 0.2 s
+_LATER = {"radio.loss": 0.3, "radio.delay": 80}
+_TURN_BACK = {"course.turn_low": math.radians(150.0), "course.turn_high": math.radians(180.0)}
+_ROOM = {"floor": -1.5, "ceiling": 1.5, "start.clearance": 1.0}
+_SPLIT = {"start.lambda2_low": -1.0, "start.lambda2_high": 1e-6}
+_PILLARS = Forest(n_pillars=10, pillar_radius=(0.2, 0.4), n_walls=0, gap=1.0)
+_GUSTS = Airframe(rotor_noise=0.01, force_noise=1.0)
+_FAILURES = (
+    *(Fault(kind="robot", at=(8.0, 20.0)) for _ in range(4)),
+    *(Fault(kind="radio", at=(8.0, 20.0)) for _ in range(2)),
+)
+
 TASKS: dict[str, Task] = {
-    "HardNarrowLate-v1": Task("NarrowCamera-v0", 2, _LATE, "cameras of 30°; messages lost and 0.4 s late"),
-    "HardMixNarrow-v1": Task(
-        "Mix-v0", 2, _VIEW_30 | _SLOW | {"stick_speed": 2.5}, "Mix with cameras of 30° and a faster operator"
+    "HardLate-v1": Task("NarrowCamera-v0", 2, _LATER, "messages lost and 0.4 s late, cameras of 30°"),
+    "HardView-v1": Task(
+        "NarrowCamera-v0", 3, {**_LATE, "stick_speed": 2.0}, "cameras of 20°, a stick of 2 m/s, a late radio"
     ),
-    "HardRadioTwelve-v1": Task("LossyRadio-v0", 4, {"n_agents": 12}, "twelve robots; messages lost and 0.4 s late"),
-    "HardGap-v1": Task("Corridor-v0", 3, {}, "a gap of 2.5 to 3 m"),
-    "HardGapNarrow-v1": Task("Corridor-v0", 2, _VIEW_30, "a gap of 3.5 to 4 m, cameras of 30°"),
-    "HardGapTwelve-v1": Task("Corridor-v0", 2, {"n_agents": 12}, "twelve robots through a gap of 3.5 to 4 m"),
-    "HardManyRobots-v1": Task("ScaleUp-v0", 5, {}, "48 robots"),
+    "HardDrift-v1": Task(
+        "NarrowCamera-v0", 2, {**_LATE, "noise.gyro_bias": 0.1}, "gyros that drift, cameras of 30°, a late radio"
+    ),
+    "HardReverse-v1": Task(
+        "NarrowCamera-v0",
+        2,
+        {**_TURN_BACK, **_LATER, "stick_speed": 1.5},
+        "a leader that turns back at each way point, cameras of 30°, a late radio",
+    ),
+    "HardFast-v1": Task(
+        "LeaderAggressive-v0",
+        2,
+        {**_VIEW_30, **_LATE},
+        "an operator faster than the robots, cameras of 30°, a late radio",
+    ),
+    "HardMix-v1": Task(
+        "Mix-v0",
+        2,
+        {**_VIEW_30, **_LATE, "stick_speed": 2.5},
+        "pillars, a stick of 2.5 m/s, cameras of 30°, a late radio",
+    ),
+    "HardLow-v1": Task(
+        "Mix-v0", 2, {**_ROOM, **_VIEW_30}, "pillars in a room of 3 m between floor and ceiling, cameras of 30°"
+    ),
     "HardPillars-v1": Task(
-        "LeaderObstacles-v0",
-        1,
-        {"map": Forest(n_pillars=20, pillar_radius=(0.2, 0.4), n_walls=0, gap=1.0)},
-        "many pillars, with gaps of 1 m that one robot fits through",
+        "LeaderObstacles-v0", 1, {**_VIEW_45, "map": _PILLARS}, "ten pillars with gaps of 1 m, cameras of 45°"
     ),
+    "HardGap-v1": Task("Corridor-v0", 3, _VIEW_45, "a gap of 2.5 to 3 m, cameras of 45°"),
+    "HardGapView-v1": Task("Corridor-v0", 2, _VIEW_30, "a gap of 3.5 to 4 m, cameras of 30°"),
+    "HardGapTwelve-v1": Task("Corridor-v0", 2, {"n_agents": 12}, "twelve robots, a gap of 3.5 to 4 m"),
+    "HardRadio-v1": Task("LossyRadio-v0", 4, {"n_agents": 12}, "twelve robots, messages lost and 0.4 s late"),
+    "HardMany-v1": Task("ScaleUp-v0", 4, {**_VIEW_45, **_LATE}, "24 robots, cameras of 45°, a late radio"),
     "HardLost-v1": Task(
         "Blackout-v0",
         1,
-        {
-            "faults": (
-                Fault(kind="robot", at=(8.0, 20.0)),
-                Fault(kind="robot", at=(8.0, 20.0)),
-                Fault(kind="radio", at=(8.0, 20.0)),
-            )
-        },
-        "two followers die, the radio of a third one fails",
+        {**_VIEW_30, "n_agents": 12, "faults": _FAILURES},
+        "of twelve robots four die, and two radios; cameras of 30°",
     ),
     "HardGusts-v1": Task(
-        "TiltDynamics-v0", 1, {"airframe": Airframe(rotor_noise=0.01, force_noise=2.0)}, "quadrotors in gusts of 2 N"
+        "TiltDynamics-v0", 1, {**_VIEW_45, **_LATE, "airframe": _GUSTS}, "gusts of 1 N, cameras of 45°, a late radio"
     ),
-    "HardReverse-v1": Task(
-        "NarrowCamera-v0", 1, _TURN_BACK | {"stick_speed": 1.5}, "a leader that turns back, cameras of 45°"
-    ),
-    "HardLow-v1": Task(
-        "LeaderObstacles-v0",
+    "HardSplit-v1": Task(
+        "LeaderFollow-v0",
         1,
-        {
-            "floor": -1.0,
-            "ceiling": 1.0,
-            "start.clearance": 0.75,
-            "map": Forest(n_pillars=12, pillar_radius=(0.2, 0.4), n_walls=0, gap=1.5),
-        },
-        "pillars in a room of 2 m between floor and ceiling",
+        {**_SPLIT, "start.box": (16.0, 16.0, 3.0), "patience": math.inf},
+        "a team that starts split, on 16 x 16 m",
+    ),
+    "HardRegroup-v1": Task(
+        "Regroup-v0",
+        1,
+        {**_SPLIT, **_VIEW_45, "start.box": (14.0, 14.0, 3.0)},
+        "a team that starts split, without a leader, cameras of 45°",
     ),
 }

@@ -85,7 +85,7 @@ def test_a_hard_task_is_its_base_with_its_settings_under_its_own_name():
 def test_every_constructor_takes_a_hard_task():
     name, settings = "HardLost-v1", {"warmup": 0.0, "max_cycles": 5}
     wanted = scenario(name, **settings)
-    assert [fault.kind for fault in wanted.faults] == ["robot", "robot", "radio"]
+    assert [fault.kind for fault in wanted.faults] == ["robot"] * 4 + ["radio"] * 2
     assert fovconn_env.parallel_env(name, **settings).scenario == wanted
     assert gymnasium.make(f"fovconn_env:fovconn/{name}", **settings).unwrapped.scenario == wanted
     batch = gymnasium.make_vec(f"fovconn_env:fovconn/{name}", num_envs=2, **settings)
