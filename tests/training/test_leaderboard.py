@@ -12,9 +12,11 @@ from fovconn_env.errors import SettingError
 from fovconn_env.files import Damaged, OtherKind
 from fovconn_env.scenarios import presets
 from fovconn_env.training.evaluation import campaign, leaderboard, submission
+from fovconn_env.training.evaluation.check_results import repeated
 from fovconn_env.training.evaluation.leaderboard_tables import leaderboard_tables, ranking_table, ranks
 from fovconn_env.training.evaluation.record import Record, Result, load
 from fovconn_env.training.evaluation.statistics import NOTHING, mean_difference
+from fovconn_env.training.evaluation.tables import FOOTNOTE, footnotes
 
 SHORT = {"max_cycles": 40, "warmup": 0.1, "n_agents": 3, "course.settle": 0.0, "course.leg": 1.0, "course.pause": 0.0}
 TASKS = {
@@ -120,6 +122,9 @@ def test_what_is_packed_flies_again_without_its_folder(fovconn, files, own, tmp_
     assert {result.count for result in record.results} == {6}
     assert record.policies["Mine"]["command"].startswith("fovconn submit mine.py:Mine")
     assert "## hard-v1" in (folder / "leaderboard.md").read_text()
+    again = [(claim, holds) for claim, holds in repeated(record) if not claim.startswith("Mine")]
+    assert len(again) == 6
+    assert all(holds for _, holds in again)
     again = fovconn(*words)
     assert again.status == 0
     assert load(folder / "leaderboard.json")._replace(run={}) == load(Path("short.json"))._replace(run={})
@@ -300,6 +305,7 @@ def test_ties_are_ties_and_an_oracle_has_no_rank():
     assert all(row[at[name]].startswith("**") for row in rows for name in at)
     assert not any(row[k].startswith("**") for row in rows for k in (-1, -2))
     assert head[-1] == "oracle-planner †"
+    assert footnotes(tables["ranking"]) == [FOOTNOTE]
 
 
 def test_the_interval_of_a_mean_over_tasks_holds_the_truth():

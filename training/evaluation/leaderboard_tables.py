@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from fovconn_env.training.evaluation.record import Record, Result
-from fovconn_env.training.evaluation.text import Table, escape, estimate, number
+from fovconn_env.training.evaluation.text import Table, escape, estimate, marked, number
 
 SUCCESS = "success"
-ORACLE = "†"
 CEILING = "oracle-planner"  # what it reaches is known to be possible
 
 
@@ -70,11 +69,6 @@ def ranks(record: Record, suite: str) -> dict[str, str]:
     better = {name: sum(each.high < 0 for each in differences[name]) for name in names}
     tied = {name: any(not (each.high < 0 or each.low > 0) for each in differences[name]) for name in names}
     return {name: f"{1 + better[name]}" + "=" * tied[name] for name in names}
-
-
-def marked(record: Record, policy: str) -> str:
-    """A policy's name, with the mark of an oracle if it is one."""
-    return policy + f" {ORACLE}" * bool(record.policies[policy]["oracle"])
 
 
 def _cell(record: Record, result: Result) -> str:

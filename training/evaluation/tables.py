@@ -13,16 +13,18 @@ from fovconn_env.training.evaluation.leaderboard_tables import leaderboard_table
 from fovconn_env.training.evaluation.learned import ROWS, Row
 from fovconn_env.training.evaluation.record import Record, Result
 from fovconn_env.training.evaluation.text import (
+    ORACLE,
     Table,
     estimate,
     figures,
     markdown,
+    marked,
     number,
     percent,
     settings_in_words,
 )
 
-ORACLE, FOOTNOTE = "†", "† an oracle: its robots know more than they can"
+FOOTNOTE = f"{ORACLE} an oracle: its robots know more than they can"
 KEPT, SUCCESS = "never_disconnected", "success"
 ON_CARD = ("expert", "augmented", "recovery", "oracle")  # policies on the card of a scenario
 CARD = (  # what a row is called, the measures it shows, and how; "share" is in percent, with its 95 % interval
@@ -229,14 +231,9 @@ _STUDIES: dict[str, Callable[[Record], dict[str, Table]]] = {
 
 
 # -------------------------------------------------------------------------------------------------------------- parts
-def marked(record: Record, policy: str) -> str:
-    """A policy's name, with the mark of `FOOTNOTE` if it is an oracle."""
-    return f"{policy} {ORACLE}" if record.policies[policy]["oracle"] else policy
-
-
 def footnotes(table: Table) -> list[str]:
     """The footnotes that a table needs."""
-    return [FOOTNOTE] if any(ORACLE in row[0] for row in table[1]) else []
+    return [FOOTNOTE] if any(ORACLE in cell for row in table[1] for cell in row[:2]) else []
 
 
 def run_line(record: Record) -> str:

@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 
 from fovconn_env.text import printable
+from fovconn_env.training.evaluation.record import Record
 from fovconn_env.training.evaluation.statistics import Estimate
 
 Table = tuple[list[str], list[list[str]]]  # head, rows
+ORACLE = "†"  # stands behind the name of a policy that is one
 
 
 def number(value: float, form: str) -> str:
@@ -36,6 +38,11 @@ def estimate(quantity: Estimate, form: str, scale: float = 1.0) -> str:
     """A number with its interval: 0.98 [0.97, 0.99]."""
     value, low, high = (number(scale * part, form) for part in quantity)
     return value if math.isnan(quantity.low) else f"{value} [{low}, {high}]"
+
+
+def marked(record: Record, policy: str) -> str:
+    """A policy's name, with `ORACLE` if a record says that it is one."""
+    return f"{policy} {ORACLE}" if record.policies[policy]["oracle"] else policy
 
 
 def settings_in_words(chosen: Any, usual: Any) -> dict[str, str]:
