@@ -1,6 +1,7 @@
 """Submissions and the leaderboard: what is packed flies again elsewhere, what differs is refused, ties are ties."""
 
 import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
@@ -73,7 +74,7 @@ def files(fovconn, monkeypatch, tmp_path, own):
     """Submissions of two laws and of a policy of one's own."""
     submitted(fovconn, monkeypatch, tmp_path, "zero", "follow")
     shown = submitted(fovconn, monkeypatch, own, "mine.py:Mine")
-    assert "packed: given.npy, helper.py, mine.py" in shown.out
+    assert "Mine: packed: given.npy, helper.py, mine.py" in shown.out
     return [tmp_path / "out" / "zero.npz", tmp_path / "out" / "follow.npz", own / "out" / "Mine.npz"]
 
 
@@ -120,7 +121,8 @@ def test_what_is_packed_flies_again_without_its_folder(fovconn, files, own, tmp_
     assert set(record.policies) == {"zero", "follow", "Mine"}
     assert [result.scenario for result in record.overall] == ["hard-v1"] * 3 + ["full"] * 3
     assert {result.count for result in record.results} == {6}
-    assert record.policies["Mine"]["command"].startswith("fovconn submit mine.py:Mine")
+    assert record.policies["Mine"]["command"] == "fovconn submit mine.py:Mine"
+    assert re.search(r"^1=?\s+(follow|Mine|zero) ", shown.out, re.MULTILINE)
     assert "## hard-v1" in (folder / "leaderboard.md").read_text()
     again = [(claim, holds) for claim, holds in repeated(record) if not claim.startswith("Mine")]
     assert len(again) == 6

@@ -18,9 +18,11 @@ from fovconn_env.training.commands.screen import err, grid, out, say_written
 from fovconn_env.training.evaluation.draft import can_draw
 from fovconn_env.training.evaluation.folders import claimed
 from fovconn_env.training.evaluation.leaderboard import CHECKED, check_alike, check_flights, drawn, ranked
+from fovconn_env.training.evaluation.leaderboard_tables import ranking_table
 from fovconn_env.training.evaluation.record import run_block, to_json, write_json
 from fovconn_env.training.evaluation.submission import load, versions
-from fovconn_env.training.evaluation.tables import page, tables
+from fovconn_env.training.evaluation.tables import page
+from fovconn_env.training.evaluation.text import escape
 
 
 def command(
@@ -57,7 +59,8 @@ def command(
         run = run_block(time.perf_counter() - began) | versions() | origin | {"suites": first.suites}
         record = ranked(list(submissions.values()), run).short()
         written = [write_json(folder / "leaderboard.json", to_json(record))]
-        write_text(folder / "leaderboard.md", page(written[0], record))
+        how = f"Flown again, and as submitted: {check} seeds of each task, drawn from {draw}. Made by"
+        write_text(folder / "leaderboard.md", page(written[0], record, f"{how} `{escape(origin['command'])}`"))
         written.append(folder / "leaderboard.md")
         if can_draw():
             from fovconn_env.training.evaluation.leaderboard_picture import draw as draw_picture
@@ -65,5 +68,7 @@ def command(
             about = f"success, %; beside a name its rank; framed: the ceiling; {record.run['finished'][:10]}"
             written.append(draw_picture(record, folder / "leaderboard.png", about))
     written += [write_json(json_file, to_json(record))] if json_file is not None else []
-    out.print(grid("leaderboard", *tables(record)["ranking"]))
+    head, rows = ranking_table(record)
+    shown = head.index("fovconn_env")  # a terminal has no room for where they are from
+    out.print(grid("leaderboard", head[:shown], [row[:shown] for row in rows]))
     say_written(written)

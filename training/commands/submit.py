@@ -67,5 +67,5 @@ def command(
             written.append(save(made, folder / f"{file_name(made.label)}.npz"))
             for names, what in ((made.files, "packed"), (left_out(files), "read by it, elsewhere, and not packed")):
                 if names:
-                    out.print(f"{what}: {', '.join(names)}", soft_wrap=True)
+                    out.print(f"{made.label}: {what}: {', '.join(names)}", soft_wrap=True)
     say_written(written)

@@ -53,4 +53,4 @@ def _draw_suite(axes: Axes, record: Record, suite: str, names: list[str]) -> Non
         axes.axvline(n_ranked - 0.5, color="white", lw=4)
     if CEILING in names:
         at = names.index(CEILING)
-        axes.axvspan(at - 0.5, at + 0.5, fill=False, ec=DARK, lw=1.6, clip_on=False)
+        axes.axvspan(at - 0.5, at + 0.5, fill=False, ec=DARK, lw=1.6, clip_on=False, zorder=3)

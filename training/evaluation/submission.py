@@ -9,7 +9,6 @@ import json
 import os
 import platform
 import shlex
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
@@ -66,7 +65,7 @@ def submission(policy: str, suites: Mapping[str, Sequence[Evaluation]], files: F
     seeds = max((each.seeds for each in evaluations), key=len)
     kind = find_pilot(policy)
     run = run_block(seconds) | versions() | {"packages": packages(sources(kind))}
-    run["command"] = shlex.join([Path(sys.argv[0]).stem, *sys.argv[1:]])
+    run["command"] = shlex.join(["fovconn", "submit", policy])
     what = about(policy) | {"oracle": is_oracle(kind, [each.scenario for each in evaluations])}
     record = Record("submission", list(seeds), {results[0].policy: what}, results, run=run)
     tasks = {name: [each.scenario.name for each in group] for name, group in suites.items()}

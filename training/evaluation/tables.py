@@ -264,9 +264,9 @@ def _table(results: Iterable[Result], columns: Mapping[str, Callable[[Result], s
     return shown, [list(row) for row in zip(*(cells[head] for head in shown), strict=True)]
 
 
-def page(file: Path, record: Record) -> str:
-    """A Markdown page with all tables of a record, which lies in `file`."""
-    parts = [f"# All tables of {file.name}", f"Made by `make docs` of [{file.name}]({file.name}). {run_line(record)}"]
+def page(file: Path, record: Record, origin: str = "Made by `make docs`") -> str:
+    """A Markdown page with all tables of a record, which lies in `file`; origin: how the page was made."""
+    parts = [f"# All tables of {file.name}", f"{origin} of [{file.name}]({file.name}). {run_line(record)}"]
     for title, table in tables(record).items():
         parts += [f"## {title}", markdown(table), *footnotes(table)]
     return "\n\n".join(parts) + "\n"
