@@ -230,11 +230,18 @@ def test_only_what_lies_below_the_folder_is_packed(own, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name", ["../x.py", "/x.py", "a/../../x.py", "..", "", ".", "a\\..\\x.py", "C:x.py", "a\n"])
 def test_a_file_with_a_path_that_leads_elsewhere_is_damaged(files, tmp_path, name):
-    made = submission.load(files[0])
-    file = altered(files[0], tmp_path / "odd.npz", files={name: b"x"})
+    file = altered(files[2], tmp_path / "odd.npz", files={name: b"x"})
     with pytest.raises(Damaged, match=r"odd\.npz is damaged: files must be"):
         submission.load(file)
-    assert made.files == {}
+
+
+@pytest.mark.parametrize("policy", ["os:system", "mine.py:Mine", "lambda2-cbf:mine.py:Mine", "subprocess:run"])
+def test_a_policy_that_is_nowhere_is_damaged(files, tmp_path, policy):
+    """It would be looked for on the machine of whoever opens the file."""
+    file = altered(files[0], tmp_path / "bare.npz", policy=policy)
+    with pytest.raises(Damaged, match=r"bare\.npz is damaged: policy must be of this package, or in files"):
+        submission.load(file)
+    assert submission.is_shipped("lambda2-cbf:follow")
 
 
 def test_a_record_without_all_outcomes_is_damaged(files, tmp_path):

@@ -20,7 +20,7 @@ from fovconn_env.training.evaluation.folders import claimed
 from fovconn_env.training.evaluation.leaderboard import CHECKED, check_alike, check_flights, drawn, ranked
 from fovconn_env.training.evaluation.leaderboard_tables import ranking_table
 from fovconn_env.training.evaluation.record import run_block, to_json, write_json
-from fovconn_env.training.evaluation.submission import load, versions
+from fovconn_env.training.evaluation.submission import is_shipped, load, versions
 from fovconn_env.training.evaluation.tables import page
 from fovconn_env.training.evaluation.text import escape
 
@@ -50,7 +50,7 @@ def command(
     check_alike(submissions)
     first = next(iter(submissions.values()))
     seeds = drawn(first, check, draw)
-    with_code = [made.label for made in submissions.values() if made.files]
+    with_code = [made.label for made in submissions.values() if not is_shipped(made.policy)]
     if with_code:
         err.print(f"running the code of {', '.join(with_code)}", style="yellow", soft_wrap=True)
     with claimed(folder):

@@ -24,7 +24,15 @@ from fovconn_env.training.evaluation.statistics import (
     paired_share_difference,
     share_interval,
 )
-from fovconn_env.training.evaluation.submission import OUTCOMES, Submission, is_oracle, settings_hash, unpack, versions
+from fovconn_env.training.evaluation.submission import (
+    OUTCOMES,
+    Submission,
+    is_oracle,
+    is_shipped,
+    settings_hash,
+    unpack,
+    versions,
+)
 
 STUDY = "leaderboard"
 CHECKED = 16  # seeds of each task that are flown again
@@ -82,8 +90,8 @@ def check_flights(submissions: Mapping[Path, Submission], seeds: Mapping[str, li
     A policy flies in a folder of its own that holds its files and nothing else. Raises `SettingError` that names
     policy, field, task and seed where an outcome is not the submitted one.
     """
-    ours = {file: made for file, made in submissions.items() if not made.files}
-    groups = [ours] * bool(ours) + [{file: made} for file, made in submissions.items() if made.files]
+    ours = {file: made for file, made in submissions.items() if is_shipped(made.policy)}
+    groups = [ours] * bool(ours) + [{file: made} for file, made in submissions.items() if file not in ours]
     for group in groups:
         with _folder_of(next(iter(group.values()))):
             cells = {Cell(made.policy, scenario(task)): file for file, made in group.items() for task in made.settings}
@@ -118,8 +126,8 @@ def kind_of(made: Submission) -> tuple[str, bool]:
 
 @contextlib.contextmanager
 def _folder_of(made: Submission) -> Iterator[None]:
-    """The current folder is a new one with the files of a policy; where there are none, it stays."""
-    if not made.files:
+    """The current folder is a new one with the files of a policy; for one of this package it stays."""
+    if is_shipped(made.policy):
         yield
         return
     with tempfile.TemporaryDirectory(prefix="fovconn-") as folder, contextlib.chdir(folder):

@@ -18,7 +18,8 @@ import numpy as np
 
 import fovconn_env
 from fovconn_env import Scenario
-from fovconn_env.baselines import Pilot, Policy, find_pilot
+from fovconn_env.baselines import ORACLES, POLICIES, Pilot, Policy, find_pilot
+from fovconn_env.baselines.laws.filters import split_name
 from fovconn_env.errors import SettingError, rule
 from fovconn_env.fields import check_array, check_keys, check_texts
 from fovconn_env.files import Archive, Damaged, Kind, one_line, read_archive, write_archive
@@ -70,7 +71,19 @@ def submission(policy: str, suites: Mapping[str, Sequence[Evaluation]], files: F
     record = Record("submission", list(seeds), {results[0].policy: what}, results, run=run)
     tasks = {name: [each.scenario.name for each in group] for name, group in suites.items()}
     settings = {each.scenario.name: settings_hash(each.scenario) for each in evaluations}
-    return Submission(policy, tasks, settings, packed(policy, files), record)
+    contents = packed(policy, files)
+    _check_code(policy, contents)
+    return Submission(policy, tasks, settings, contents, record)
+
+
+def is_shipped(policy: str) -> bool:
+    """Whether a policy is one of this package, with or without a filter."""
+    return split_name(policy)[1] in (*POLICIES, *ORACLES)
+
+
+def _check_code(policy: str, files: Mapping[str, bytes]) -> None:
+    """`SettingError` for a policy without files that is none of this package: whoever flies it would lack it."""
+    rule(bool(files) or is_shipped(policy), "policy", "of this package, or in files", policy, "name its file")
 
 
 def is_oracle(kind: type[Pilot], tasks: Sequence[Scenario]) -> bool:
@@ -176,6 +189,7 @@ def _read(header: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> Submissio
     for k, name in enumerate(names):
         check_array(name, arrays[f"file/{k}"], "u1", (-1,))
         contents[name] = arrays[f"file/{k}"].tobytes()
+    _check_code(header["policy"], contents)
     record = from_json(header["record"])
     _check_outcomes(record, every)
     return Submission(header["policy"], suites, settings, contents, record)
