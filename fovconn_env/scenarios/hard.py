@@ -67,7 +67,10 @@ TASKS: dict[str, Task] = {
         "pillars, a stick of 2.5 m/s, cameras of 30°, a late radio",
     ),
     "HardLow-v1": Task(
-        "Mix-v0", 2, {**_ROOM, **_VIEW_30}, "pillars in a room of 3 m between floor and ceiling, cameras of 30°"
+        "Mix-v0",
+        2,
+        {**_ROOM, **_VIEW_30, "radio.loss": 0.3, "radio.delay": 20},
+        "pillars in a room of 3 m between floor and ceiling, cameras of 30°, a late radio",
     ),
     "HardPillars-v1": Task(
         "LeaderObstacles-v0", 1, {**_VIEW_45, "map": _PILLARS}, "ten pillars with gaps of 1 m, cameras of 45°"
@@ -80,11 +83,11 @@ TASKS: dict[str, Task] = {
     "HardLost-v1": Task(
         "Blackout-v0",
         1,
-        {**_VIEW_30, "n_agents": 12, "faults": _FAILURES},
-        "of twelve robots four die, and two radios; cameras of 30°",
+        {**_VIEW_30, **_LATE, "n_agents": 12, "faults": _FAILURES},
+        "of twelve robots four die, and two radios; cameras of 30°, a late radio",
     ),
     "HardGusts-v1": Task(
-        "TiltDynamics-v0", 1, {**_VIEW_45, **_LATE, "airframe": _GUSTS}, "gusts of 1 N, cameras of 45°, a late radio"
+        "TiltDynamics-v0", 1, {**_VIEW_45, **_LATER, "airframe": _GUSTS}, "gusts of 1 N, cameras of 45°, a later radio"
     ),
     "HardSplit-v1": Task(
         "LeaderFollow-v0",

@@ -15,7 +15,7 @@ from fovconn_env.files import write_text
 from fovconn_env.training.commands.campaigns import fly_all
 from fovconn_env.training.commands.options import OUT, JsonFile, Processes, check_folder, check_writable
 from fovconn_env.training.commands.screen import err, grid, out, say_written
-from fovconn_env.training.evaluation.draft import can_draw
+from fovconn_env.training.evaluation import draft
 from fovconn_env.training.evaluation.folders import claimed
 from fovconn_env.training.evaluation.leaderboard import CHECKED, check_alike, check_flights, drawn, ranked
 from fovconn_env.training.evaluation.leaderboard_tables import ranking_table
@@ -62,7 +62,7 @@ def command(
         how = f"Flown again, and as submitted: {check} seeds of each task, drawn from {draw}. Made by"
         write_text(folder / "leaderboard.md", page(written[0], record, f"{how} `{escape(origin['command'])}`"))
         written.append(folder / "leaderboard.md")
-        if can_draw():
+        if draft.can_draw():
             from fovconn_env.training.evaluation.leaderboard_picture import draw as draw_picture
 
             about = f"success, %; beside a name its rank; framed: the ceiling; {record.run['finished'][:10]}"
