@@ -60,7 +60,9 @@ def gather(truth, plan, b, s, gap, p, actions):
     at, root, close = truth.position[b], plan.leader[b], True
     opened = truth.piece.shape[1] == 0 or truth.piece[b, 0].count == 0
     if opened:
-        gap = p.D1 + 0.25 * (p.D2 - p.D1)  # of the full range weight; near ones lose sight of who is blown up
+        gap = p.D1  # of the full range weight
+        if truth.n_waypoints[b] > 0:
+            gap += 0.25 * (p.D2 - p.D1)  # near ones lose sight of who is blown up on the way
     for r in range(at.shape[0]):
         i = plan.order[b, r]
         vx, vy = keep_away(truth, plan, b, i, 0.9 * gap if i != root else BRAVE, s)
