@@ -89,6 +89,10 @@ TASKS: dict[str, Task] = {
     "HardGusts-v1": Task(
         "TiltDynamics-v0", 1, {**_VIEW_45, **_LATER, "airframe": _GUSTS}, "gusts of 1 N, cameras of 45°, a later radio"
     ),
+    "HardCamera-v1": Task("RealCamera-v0", 3, {}, "cameras as they are, the worst of the three levels"),
+    "HardCameraView-v1": Task(
+        "RealCamera-v0", 2, {**_VIEW_30, "stick_speed": 1.5}, "cameras as they are, of 30°, a stick of 1.5 m/s"
+    ),
     "HardSplit-v1": Task(
         "LeaderFollow-v0",
         1,
