@@ -36,6 +36,7 @@ SCENARIOS = {
     "YAW_TRAP": "YawTrap-v0",
     "SCALE_UP": "ScaleUp-v0",
     "MIX": "Mix-v0",
+    "REAL_CAMERA": "RealCamera-v0",
 }
 
 
@@ -121,6 +122,7 @@ class Fovconn(Task):
     YAW_TRAP = None
     SCALE_UP = None
     MIX = None
+    REAL_CAMERA = None
 
     @staticmethod
     def associated_class() -> type[TaskClass]:
