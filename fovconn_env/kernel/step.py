@@ -46,10 +46,11 @@ bytes_per_beats, bytes_per_table = kernel(layout.bytes_per_beats), kernel(layout
 
 
 @large_entry
-def run(state, world, scratch, params, actions, mask, warm_ticks, worlds):
+def run(state, world, scratch, params, actions, mask, warm_ticks, worlds, frames):
     """Advance worlds by a step of actions (B, N, 4); with warm_ticks > 0, begin an episode in the masked (B,) ones.
 
-    worlds: (first, last), those first..last-1 are visited; one whose episode is over does not advance. Before an
+    worlds: (first, last), those first..last-1 are visited; one whose episode is over does not advance. frames: True, or
+    None where cameras are ideal, for which what other cameras need is not compiled. Before an
     episode begins the caller clears the world's records and sets pose (x, y, z, yaw), key and max_steps; the estimators
     then warm up for `warm_ticks`, bodies held, the clock at 0. One entry for both, because each entry compiles
     everything below it.
@@ -65,7 +66,7 @@ def run(state, world, scratch, params, actions, mask, warm_ticks, worlds):
         if moves:
             set_commands(bodies, actions[b], episode, p)  # command <- action, stick
         else:
-            start_robots(state, b, p)  # velocity, what is on board <- pose
+            start_robots(state, b, p, frames)  # velocity, what is on board <- pose
         clear_traffic(infos)
         find_active(state.pair[b], scratch.active, p)
         build_contacts(scratch.active, scratch.row, scratch.col, scratch.indptr)
@@ -80,7 +81,7 @@ def run(state, world, scratch, params, actions, mask, warm_ticks, worlds):
             detect_collisions(bodies, world.piece[b], world.vertex[b], episode, p)
             if tick == ticks - 1:
                 update_true_lambda2(state, scratch, b, p)  # true weights, lambda2, v2 <- pairs
-            sense(state, scratch, b, p)  # ego, sights <- bodies, pairs; tracks <- ego, sights
+            sense(state, scratch, b, p, frames)  # ego, sights <- bodies, pairs; tracks <- ego, sights
             for k in range(p.rounds):
                 turn = round_of(episode.n_rounds, k, state.unicast.shape[1], p)
                 slot = episode.n_rounds % state.unicast.shape[1]
@@ -189,7 +190,7 @@ def prefetch_contacts(state, b, p):
 
 # --------------------------------------------------------------------------------------------- once an episode
 @stage
-def start_robots(state, b, p):
+def start_robots(state, b, p, frames):
     """Robots stand or hover at their poses, with nothing on board."""
     bodies, episode = state.body[b], state.episode[b]
     episode.leader = p.leader_index
@@ -198,7 +199,7 @@ def start_robots(state, b, p):
         reset_body(bodies[i], state.flight[b, i], p)
         x = 2.0 * random.uniform(random.draw(episode.key, 0, i, random.START)) - 1.0
         robot.start(robot_of(state, b, i), x, p)
-        if not p.ideal_camera:
+        if frames is not None:
             start_misses(i, state.missing[b, i], episode, p)
 
 
@@ -312,18 +313,18 @@ def reveal_lambda2(beliefs, lambda2, v2):
 
 # ----------------------------------------------------------------------------------------- once a tick: the robots
 @stage
-def sense(state, scratch, b, p):
+def sense(state, scratch, b, p, frames):
     """Odometry, IMU and camera of every robot, and what it makes of them."""
     bodies, pairs, ego, peers, episode = state.body[b], state.pair[b], state.ego[b], state.peer[b], state.episode[b]
     n = bodies.shape[0]
     for i in range(n):
         measure_ego_motion(bodies[i], ego[i], i, episode, p)
         robot.sense(robot_of(state, b, i), p)
-    if not p.ideal_camera:
+    if frames is not None:
         look_around(state, scratch, b, p)
     for k in range(scratch.indptr[n]):
         i, j = scratch.row[k], scratch.col[k]
-        if p.ideal_camera:
+        if frames is None:
             measure_relative_position(
                 bodies[i], bodies[j], pairs[i, j], ego[i], peers[i, j].sight, i * n + j, episode, p
             )

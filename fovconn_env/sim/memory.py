@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from typing import Literal
 
 import numpy as np
 
@@ -85,6 +86,11 @@ def observation_bounds(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
         parts.append([np.tile(bound, count) for bound in layout.bounds(table, scales)])
     low, high = (np.concatenate(part) for part in zip(*parts, strict=True))
     return low, high
+
+
+def frames_of(scenario: Scenario) -> Literal[True] | None:
+    """The last argument of `step.run`."""
+    return None if scenario.camera.is_ideal else True
 
 
 def clear(world: records.World, state: records.State, b: int) -> None:

@@ -25,7 +25,7 @@ from fovconn_env.scenarios.params import SWITCHES
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.scenarios.sizes import MAX_BATCH_BYTES, world_bytes
 from fovconn_env.sim.graph import Graph, observed_graph
-from fovconn_env.sim.memory import NO_ACTIONS, NO_MASK, allocate, clear, place, row_views, scratch
+from fovconn_env.sim.memory import NO_ACTIONS, NO_MASK, allocate, clear, frames_of, place, row_views, scratch
 from fovconn_env.sim.seeds import Seed, world_seeds
 from fovconn_env.sim.starts import EpisodeStart, StartSampler, check_start, draw_faults
 
@@ -83,6 +83,7 @@ class Simulator:
         self.scenario, self.starts, self.n_worlds = scenario, rules, n_worlds
         self._max_cycles = scenario.max_cycles
         self.params = scenario.params()
+        self._frames = frames_of(scenario)
         self.world, self.state = allocate(scenario, n_worlds, 1, 1)
         self.state.episode["over"] = True  # until the first reset
         self._sampler = StartSampler(rules)
@@ -413,13 +414,14 @@ class Simulator:
         run = code if state is self.state and world is self.world else step.run
         self._run_slices(run, actions, mask, warm_ticks, into)
         if run is step.run:
-            self._called = self.state, self.world, code_of(step.run)
+            self._called = self.state, self.world, code_of(step.run, *([8] if self._frames is None else []))
 
     def _run_slices(
         self, run: Any, actions: np.ndarray, mask: np.ndarray, warm_ticks: int, into: Results | None
     ) -> None:
         if self.n_threads == 1:
-            run(self.state, self.world, self._scratch, self.params, actions, mask, warm_ticks, (0, self.n_worlds))
+            worlds = 0, self.n_worlds
+            run(self.state, self.world, self._scratch, self.params, actions, mask, warm_ticks, worlds, self._frames)
             if into is not None:
                 self.copy_results(into, slice(None))
             return
@@ -430,7 +432,7 @@ class Simulator:
         def work() -> None:
             own = scratch(self.scenario.n_agents)
             for worlds in slices:
-                run(self.state, self.world, own, self.params, actions, mask, warm_ticks, worlds)
+                run(self.state, self.world, own, self.params, actions, mask, warm_ticks, worlds, self._frames)
                 if into is not None:
                     self.copy_results(into, slice(*worlds))
 

@@ -19,7 +19,7 @@ from fovconn_env.maps.obstacles import Map
 from fovconn_env.maps.outlines import FAR
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.scenarios.settings import FAULTS
-from fovconn_env.sim.memory import NO_ACTIONS, allocate, clear, place, scratch
+from fovconn_env.sim.memory import NO_ACTIONS, allocate, clear, frames_of, place, scratch
 
 MAX_TRIES = 2000  # starts drawn before giving up
 FEW_TRIES = 20  # starts drawn before asking whether the map leaves room at all
@@ -46,7 +46,7 @@ class StartSampler:
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
-        self.params, self.scratch = scenario.params(), scratch(scenario.n_agents)
+        self.params, self.scratch, self.frames = scenario.params(), scratch(scenario.n_agents), frames_of(scenario)
         self._trial: tuple[records.World, records.State] | None = None  # the world in which `assess` tests a start
 
     def draw(self, rng: np.random.Generator, poses: np.ndarray | None = None) -> EpisodeStart:
@@ -138,7 +138,7 @@ class StartSampler:
         clear(world, state, 0)
         world.piece[0, : len(pieces)], world.vertex[0, : len(vertices)] = pieces, vertices
         place(state.body[0], poses)
-        step.run(state, world, self.scratch, self.params, NO_ACTIONS, np.ones(1, bool), 1, (0, 1))
+        step.run(state, world, self.scratch, self.params, NO_ACTIONS, np.ones(1, bool), 1, (0, 1), self.frames)
         return float(state.episode["lambda2"][0]), float(state.body["nearest"].min())
 
     def __getstate__(self) -> dict:

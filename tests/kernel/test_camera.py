@@ -11,7 +11,8 @@ import pytest
 from fovconn_env import Camera, Clock, Course, Fault, Noise, Simulator, layout, scenario
 from fovconn_env.errors import SettingError
 from fovconn_env.flights import Meter
-from tests.helpers import few
+from fovconn_env.kernel import step
+from tests.helpers import JIT, few
 
 pytestmark = pytest.mark.nojit
 
@@ -356,3 +357,22 @@ def test_metrics_count_names():
     np.testing.assert_array_equal(results["name_swaps"], swaps)
     np.testing.assert_allclose(results["named_share"], held / seen, rtol=1e-12)
     assert (results["named_share"] < 0.95).all()
+
+
+@pytest.mark.skipif(not JIT, reason="there is no machine code")
+def test_ideal_and_other_cameras_each_have_their_code():
+    """Compiled apart, side by side in a process, called directly; whatever was stepped in between, bits are the same."""
+    kinds = [{}, {"latency": 0.05}]
+    alone = []
+    for camera in kinds:
+        simulator = team(PAIR, **camera)
+        watch(simulator, 10)
+        alone.append(simulator.observations.copy())
+    both = [team(PAIR, **camera) for camera in kinds]
+    for _ in range(10):
+        for simulator in both:
+            watch(simulator, 1)
+    for simulator, observations in zip(both, alone, strict=True):
+        np.testing.assert_array_equal(simulator.observations, observations)
+        assert simulator._called[2] is not step.run
+    assert both[0]._called[2] is not both[1]._called[2]
