@@ -76,9 +76,10 @@ class Meter(Observer):
         simulator = self.simulator
         state, code = self._called
         run = code if state is simulator.state else _measure
-        run(simulator.state, self._sums, self._histograms, self._before, simulator.params)
+        arguments = simulator.state, self._sums, self._histograms, self._before, simulator.params
+        run(*arguments)
         if run is _measure:
-            self._called = simulator.state, code_of(_measure)
+            self._called = simulator.state, code_of(_measure, *arguments)
 
     def __getstate__(self) -> dict:
         return {**self.__dict__, "_called": (None, None)}  # machine code is of this process

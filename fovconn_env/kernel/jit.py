@@ -171,23 +171,17 @@ def _entry(function: Callable[P, R], **options: Any) -> Callable[P, R]:
     return cast("Callable[P, R]", dispatcher)
 
 
-def code_of(function: Callable[P, R], *absent: int) -> Callable[P, R]:
-    """The machine code of an entry that has been called with arguments of one set of types, for more calls with such.
-
-    absent: places of the arguments that are None in these calls.
+def code_of(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> Callable[P, R]:
+    """The machine code with which an entry was called with these arguments, for more calls with such.
 
     numba looks at each argument of a call to choose the code, which takes ten times as long as the call where they are
     many arrays. This looks at none: arguments of other types are read as if they were of those. It is the entry itself
-    where there is a choice, and with NUMBA_DISABLE_JIT=1.
+    before a call with such arguments, and with NUMBA_DISABLE_JIT=1.
     """
     if not isinstance(function, CPUDispatcher):
         return function
-    results = [
-        code
-        for kinds, code in function.overloads.items()
-        if {place for place, kind in enumerate(kinds) if kind == types.none} == set(absent)
-    ]
-    return results[0].entry_point if len(results) == 1 else function
+    result = function.overloads.get(tuple(map(function.typeof_pyval, args)))
+    return function if result is None else result.entry_point
 
 
 def source_hash(beside: Iterable[Path] = ()) -> str:

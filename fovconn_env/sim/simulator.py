@@ -414,7 +414,12 @@ class Simulator:
         run = code if state is self.state and world is self.world else step.run
         self._run_slices(run, actions, mask, warm_ticks, into)
         if run is step.run:
-            self._called = self.state, self.world, code_of(step.run, *([8] if self._frames is None else []))
+            last = actions, mask, warm_ticks, (0, self.n_worlds), self._frames
+            self._called = (
+                self.state,
+                self.world,
+                code_of(step.run, self.state, self.world, self._scratch, self.params, *last),
+            )
 
     def _run_slices(
         self, run: Any, actions: np.ndarray, mask: np.ndarray, warm_ticks: int, into: Results | None

@@ -361,7 +361,7 @@ def test_metrics_count_names():
 
 @pytest.mark.skipif(not JIT, reason="there is no machine code")
 def test_ideal_and_other_cameras_each_have_their_code():
-    """Compiled apart, side by side in a process, called directly; whatever was stepped in between, bits are the same."""
+    """Compiled apart, side by side in a process, called directly; what is stepped in between changes no bit."""
     kinds = [{}, {"latency": 0.05}]
     alone = []
     for camera in kinds:

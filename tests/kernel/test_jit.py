@@ -94,14 +94,16 @@ def double(values):
         values[k] *= 2.0
 
 
-def test_code_is_called_directly_where_there_is_no_choice():
+def test_code_is_called_directly():
+    """That of the arguments' types, whatever else was compiled."""
     values, single = np.ones(3), np.ones(3, np.float32)
-    assert code_of(double) is double, "nothing is compiled yet"
+    assert code_of(double, values) is double, "nothing is compiled yet"
     double(values)
-    code_of(double)(values)
+    code_of(double, values)(values)
     assert (values == 4.0).all()
-    assert (code_of(double) is double) is not JIT
+    assert (code_of(double, values) is double) is not JIT
+    assert code_of(double, single) is double, "not compiled for such arrays"
     double(single)
-    assert code_of(double) is double, "two kinds of arrays"
-    code_of(double)(single)
+    code_of(double, single)(single)
     assert (single == 4.0).all()
+    assert (code_of(double, single) is code_of(double, values)) is not JIT
