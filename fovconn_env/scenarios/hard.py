@@ -33,7 +33,7 @@ _LATER = {"radio.loss": 0.3, "radio.delay": 80}
 _TURN_BACK = {"course.turn_low": math.radians(150.0), "course.turn_high": math.radians(180.0)}
 _ROOM = {"floor": -1.5, "ceiling": 1.5, "start.clearance": 1.0}
 _SPLIT = {"start.lambda2_low": -1.0, "start.lambda2_high": 1e-6}
-_PILLARS = Forest(n_pillars=10, pillar_radius=(0.2, 0.4), n_walls=0, gap=1.0)
+_PILLARS = Forest(n_pillars=12, pillar_radius=(0.2, 0.4), n_walls=0, gap=1.0)
 _GUSTS = Airframe(rotor_noise=0.01, force_noise=1.0)
 _FAILURES = (
     *(Fault(kind="robot", at=(8.0, 20.0)) for _ in range(4)),
@@ -57,8 +57,8 @@ TASKS: dict[str, Task] = {
     "HardFast-v1": Task(
         "LeaderAggressive-v0",
         2,
-        {**_VIEW_30, **_LATE},
-        "an operator faster than the robots, cameras of 30°, a late radio",
+        {**_VIEW_30, **_LATER},
+        "an operator faster than the robots, cameras of 30°, a later radio",
     ),
     "HardMix-v1": Task(
         "Mix-v0",
@@ -73,7 +73,7 @@ TASKS: dict[str, Task] = {
         "pillars in a room of 3 m between floor and ceiling, cameras of 30°, a late radio",
     ),
     "HardPillars-v1": Task(
-        "LeaderObstacles-v0", 1, {**_VIEW_45, "map": _PILLARS}, "ten pillars with gaps of 1 m, cameras of 45°"
+        "LeaderObstacles-v0", 1, {**_VIEW_45, "map": _PILLARS}, "twelve pillars with gaps of 1 m, cameras of 45°"
     ),
     "HardGap-v1": Task("Corridor-v0", 3, _VIEW_45, "a gap of 2.5 to 3 m, cameras of 45°"),
     "HardGapView-v1": Task("Corridor-v0", 2, _VIEW_30, "a gap of 3.5 to 4 m, cameras of 30°"),
