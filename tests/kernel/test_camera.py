@@ -78,8 +78,8 @@ def test_between_frames_the_place_is_carried_on_by_own_odometry():
     simulator = team(PAIR, frame_rate=20.0, latency=0.07)
     action = np.array([[0.2, -0.1, 0.1, 0.4], [0.0, 0.0, 0.0, 0.0]])
     watch(simulator, 20, action)
-    for _ in range(few(60, 10)):
-        watch(simulator, 1, action)
+    for k in range(few(60, 10)):
+        watch(simulator, 1, action * math.cos(0.5 * k))  # another motion in each tick
         track = simulator.state.track[0, 0, 1]
         assert track["held"]
         np.testing.assert_allclose([track[k] for k in "xyz"], true_places(simulator)[0, 0, 1], atol=1e-6)
@@ -284,6 +284,39 @@ def test_outside_of_the_gate_a_name_is_lost_not_passed_on():
     assert simulator.infos["name_swaps"].sum() == 0
     assert named(simulator)[0, 0].tolist() == [False, False, True]
     assert unnamed(simulator)[0, 0] == 1
+
+
+def test_nothing_keeps_a_name_that_was_read_elsewhere():
+    """A robot jumps: its name is kept where it was for `coast`, until it has been read where it is now."""
+    simulator = team(THREE, identify=0.3, coast=3.0, gate=0.5)
+    watch(simulator, 50)
+    simulator.state.body["z"][0, 1] += 1.5
+    watch(simulator, 10)
+    blobs = simulator.state.blob[0, 0]
+    assert sorted(blobs["name"][blobs["used"]].tolist()) == [-1, 1, 2]
+    watch(simulator, 30)
+    assert sorted(blobs["name"][blobs["used"]].tolist()) == [-1, 1, 2]
+    (at,) = np.flatnonzero(blobs["used"] & (blobs["name"] == 1))
+    assert blobs["unseen"][at] == 0.0
+    track = simulator.state.track[0, 0, 1]
+    np.testing.assert_allclose([track[axis] for axis in "xyz"], true_places(simulator)[0, 0, 1], atol=1e-9)
+
+
+def test_a_wrong_name_is_believed_though_who_has_it_is_gone():
+    """What is on board does not depend on whether the robot of that name is in reach: its track goes on."""
+    simulator = team(THREE, identify=1.0, coast=0.2, gate=1.0)
+    watch(simulator, 120)
+    body = simulator.state.body[0]
+    for axis in "xyz":
+        body[axis][[1, 2]] = body[axis][[2, 1]]
+    watch(simulator, 1)
+    body["z"][1] = 50.0
+    watch(simulator, 50)  # longer than a pair without a link is looked at
+    body["z"][2] += 0.2
+    watch(simulator, 1)
+    track = simulator.state.track[0, 0, 1]
+    assert track["held"]
+    np.testing.assert_allclose([track[axis] for axis in "xyz"], true_places(simulator)[0, 0, 2], atol=1e-9)
 
 
 def test_a_message_names_its_sender():
