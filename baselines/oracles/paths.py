@@ -110,6 +110,22 @@ def fill_costs(cost, low, pieces, vertices, least):
             cost[a, b] = 1.0 + 4.0 * tight * tight if clear > least + NARROW else math.inf
 
 
+@kernel
+def cheapest_step(reach, cost, a, b):
+    """Cost to the goal over the best of the eight cells around (a, b), and that cell; inf and (a, b) without a way."""
+    least, best_a, best_b = math.inf, a, b
+    for da in range(-1, 2):
+        for db in range(-1, 2):
+            c, d = a + da, b + db
+            if (da == 0 and db == 0) or c < 0 or d < 0 or c >= reach.shape[0] or d >= reach.shape[1]:
+                continue
+            length = CELL * (1.4142135623730951 if da != 0 and db != 0 else 1.0)
+            total = reach[c, d] + 0.5 * length * (cost[a, b] + cost[c, d])
+            if total < least:
+                least, best_a, best_b = total, c, d
+    return least, best_a, best_b
+
+
 @entry
 def spread(cost, reach):
     """One pass of Gauss-Seidel in four directions over the costs to the goal; whether one of them became less."""
@@ -122,14 +138,7 @@ def spread(cost, reach):
                 b = v if way % 2 == 0 else columns - 1 - v
                 if cost[a, b] == math.inf:
                     continue
-                best = reach[a, b]
-                for da in range(-1, 2):
-                    for db in range(-1, 2):
-                        c, d = a + da, b + db
-                        if (da == 0 and db == 0) or c < 0 or d < 0 or c >= rows or d >= columns:
-                            continue
-                        length = CELL * (1.4142135623730951 if da != 0 and db != 0 else 1.0)
-                        best = min(best, reach[c, d] + 0.5 * length * (cost[a, b] + cost[c, d]))
+                best = cheapest_step(reach, cost, a, b)[0]
                 if best < reach[a, b] - 1e-9:
                     reach[a, b] = best
                     changed = True
@@ -139,24 +148,13 @@ def spread(cost, reach):
 @entry
 def descend(reach, cost, a, b, steps):
     """Cells (P, 2) from (a, b) to the goal along the least costs; returns P."""
-    rows, columns = reach.shape
     count = 0
     while True:
         steps[count, 0], steps[count, 1] = a, b
         count += 1
         if reach[a, b] == 0.0 or count == steps.shape[0]:
             return count
-        least, best_a, best_b = math.inf, a, b
-        for da in range(-1, 2):
-            for db in range(-1, 2):
-                c, d = a + da, b + db
-                if (da == 0 and db == 0) or c < 0 or d < 0 or c >= rows or d >= columns:
-                    continue
-                length = CELL * (1.4142135623730951 if da != 0 and db != 0 else 1.0)
-                total = reach[c, d] + 0.5 * length * (cost[a, b] + cost[c, d])
-                if total < least:
-                    least, best_a, best_b = total, c, d
-        a, b = best_a, best_b
+        _, a, b = cheapest_step(reach, cost, a, b)
 
 
 @entry
