@@ -2,6 +2,7 @@
 
 import glob
 import os
+import shutil
 import sqlite3
 import zipfile
 from pathlib import Path
@@ -117,6 +118,16 @@ def test_a_file_that_is_named_in_parts_counts(noticed, tmp_path):
     save_file({"a": np.ones(3)}, tmp_path / "weights" / "w")
     head = "from pathlib import Path\nfrom safetensors.numpy import load_file"
     assert set(noticed(head, "load_file(Path(__file__).parent / 'weights' / 'w')")) == {"weights/w"}
+
+
+def test_weights_of_ones_own_count(reads, tmp_path):
+    """With their card, and nothing that a byte of them could name."""
+    for shipped in find_policy("dagger").file, find_policy("dagger").file.with_suffix(".json"):
+        shutil.copy(shipped, tmp_path)
+    name = str(tmp_path / "dagger.safetensors")
+    files = {Path(path).name: was for path, was in reads.of(name, find_policy(name)).items()}
+    assert set(files) == {"dagger.safetensors", "dagger.json"}
+    assert all(files.values())
 
 
 def test_a_file_that_is_not_there_counts(noticed, tmp_path):

@@ -747,6 +747,9 @@ def test_each_command_trains_and_goes_on(name, network, fovconn, tmp_path, monke
         warm += [word for text in TUNED["ppo"] for word in ("--tune", text)]
         shown = fovconn("train", "ppo", *warm)
         assert shown.status == 0, shown.err
+        made = ["--policy", "out/it/dagger.safetensors", "--scenario", "LeaderFollow-v0", "--seeds", 0, *WORDS]
+        shown = fovconn("eval", *made, "--processes", 1)
+        assert shown.status == 0, shown.err
 
 
 def test_help_helps(fovconn):

@@ -48,7 +48,7 @@ def named(files: Iterable[Path]) -> list[str]:
     So "w.onnx" does, and so do the two texts of `HERE / "weights" / "w.onnx"`.
     """
     found = set[str]()
-    for file in files:
+    for file in (file for file in files if file.suffix == ".py"):  # weights and their card name nothing
         texts = _texts(str(file), digest(str(file)))
         folders = [os.path.realpath("."), str(file.parent)]
         for _ in range(2):
