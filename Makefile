@@ -49,13 +49,15 @@ test-integrations: $(LIBRARIES)/current/installed $(LIBRARIES)/older/installed  
 fuzz: $(VENV)/installed-dev  ## the tests with random inputs, with as many as docs/security.md promises (hours)
 	FUZZ=full $(PYTEST) -m fuzz $(ARGS)
 
-results: $(VENV)/installed-demo  ## fly all that docs/results shows (about an hour), write it, and check it
+results: $(VENV)/installed-demo  ## fly all that docs/results shows (two hours), write it, and check it
 	$(BIN)/fovconn eval --suite full --out out/results/full --json docs/results/full.json
+	$(BIN)/fovconn submit $$($(BIN)/python -c 'from fovconn_env.baselines import *; print(*POLICIES, *ORACLES)') --out out/results/full
+	$(BIN)/fovconn leaderboard out/results/full/*.npz --draw 1 --out out/results/leaderboard --json docs/results/leaderboard.json
 	$(BIN)/fovconn eval $(LONG) --seeds 0-999 --out out/results/thousand --json docs/results/thousand.json
 	$(BIN)/fovconn eval $(LONG) --seeds 0-999 --set stick_speed=2.5 --out out/results/fast --json docs/results/fast.json
 	$(BIN)/fovconn figures --ablations --seeds 0-319 --out out/results/ablations --json docs/results/ablations.json
 	$(BIN)/python -m fovconn_env.training.evaluation levels learned cameras
-	cp out/results/ablations/ablations.png docs/images/
+	cp out/results/ablations/ablations.png out/results/leaderboard/leaderboard.png docs/images/
 	cp $(addprefix out/results/full/plots/,$(SHOWN)) docs/images/
 	$(BIN)/python docs/shrink.py
 	$(BIN)/python docs/tables.py

@@ -4,11 +4,21 @@ import math
 
 import pytest
 
+from fovconn_env import HARD
 from fovconn_env.training.evaluation import __main__ as command
 from fovconn_env.training.evaluation import check_results, levels
-from fovconn_env.training.evaluation.check_results import _bars_of_laws, _bars_of_levels, check, complete, repeated
+from fovconn_env.training.evaluation.check_results import (
+    _bars_of_hard,
+    _bars_of_laws,
+    _bars_of_levels,
+    check,
+    complete,
+    repeated,
+)
 from fovconn_env.training.evaluation.record import Record, Result, to_json, write_json
 from fovconn_env.training.evaluation.statistics import Estimate
+
+STUDIES = ("full", "leaderboard", "thousand", "fast", "levels", "learned", "ablations", "cameras")
 
 
 def result(policy, kept, *, settings=None, count=128, difference=0.0, progress=0.5, collision=0.0):
@@ -50,15 +60,39 @@ def test_bars_of_levels(kept, count, holds):
     assert [each for _, each in _bars_of_levels(record)] == [holds]
 
 
+@pytest.mark.parametrize(
+    "best, ceiling, claims",
+    [
+        (0.1, 0.9, []),
+        (0.8, 1.0, []),
+        (0.81, 0.9, ["the best policy has success in 10 to 80 % on HardGap-v1"]),
+        (0.09, 0.9, ["the best policy has success in 10 to 80 % on HardGap-v1"]),
+        (0.5, 0.89, ["oracle-planner has success in 90 % on HardGap-v1"]),
+    ],
+)
+def test_bars_of_hard_tasks(best, ceiling, claims):
+    """Of one task's policies, whatever its oracles reach."""
+    shares = {"zero": 0.0, "mine": best, "oracle": 0.95, "oracle-planner": ceiling}
+    policies = {name: {"oracle": name.startswith("oracle")} for name in shares}
+
+    def of(task, values):
+        return [Result(name, task, {}, 320, {"success": Estimate(value, 0, 1)}) for name, value in values.items()]
+
+    board = [
+        each
+        for task in HARD
+        for each in of(task, shares if task == "HardGap-v1" else shares | {"mine": 0.5, "oracle-planner": 1.0})
+    ]
+    assert failed(_bars_of_hard(Record("leaderboard", [0], policies, board))) == claims
+
+
 def test_what_is_missing_is_told():
-    records = {
-        name: Record("eval", [0], {}, [])
-        for name in ("full", "thousand", "fast", "levels", "learned", "ablations", "cameras")
-    }
+    records = {name: Record("eval", [0], {}, []) for name in STUDIES}
     tasks = [Result(task.policy, task.scenario, dict(task.settings), task.count, {}) for task in levels.study().tasks]
     records["levels"] = Record("levels", [0], {}, tasks)
     missing = failed(complete(records))
     assert "full has all policies on all scenarios" in missing
+    assert "leaderboard has all policies on both suites" in missing
     assert "learned has all tasks of its study" in missing
     assert "levels has all tasks of its study" not in missing
     records["levels"].results.pop()
@@ -84,9 +118,7 @@ def test_code_that_a_record_names_is_not_run(tmp_path, monkeypatch):
     (tmp_path / "evil.py").write_text("open('ran', 'w').close()")
     for name in ("evil.py:Evil", "safe:evil.py", "evil:Evil"):
         rows = [result(name, 0.9)._replace(episodes={"duration": [1.0]})]
-        records = dict.fromkeys(
-            ("full", "thousand", "fast", "levels", "learned", "ablations", "cameras"), Record("eval", [0], {}, [])
-        )
+        records = dict.fromkeys(STUDIES, Record("eval", [0], {}, []))
         records["fast"] = Record("eval", [0], {name: {"overrides": {}, "oracle": False}}, rows)
         assert "fast is of our own policies" in failed(complete(records))
         assert list(repeated(records["fast"])) == []
