@@ -124,13 +124,21 @@ def _rows(name: str, value: Any, size: int) -> list[list[Any]]:
     return value
 
 
-def play_back(recording: Recording, *, force: bool = False, observers: Sequence[Observer] = ()) -> Iterator[Simulator]:
+def play_back(
+    recording: Recording,
+    *,
+    force: bool = False,
+    observers: Sequence[Observer] = (),
+    simulator: Simulator | None = None,
+) -> Iterator[Simulator]:
     """Compute a flight again: a rollout whose policy and operator are the recording.
+
+    simulator: one of the recording's scenario and starts in place of a new one, a fleet's for example.
 
     Yields the simulator after the reset and after every step. Raises `OtherVersion` or `Diverged` as soon as a hash is
     not the recorded one; with `force` it goes on, and whoever asks compares `state_hash` with the recording's last one.
     """
-    simulator = Simulator(recording.scenario, starts=recording.starts)
+    simulator = simulator or Simulator(recording.scenario, starts=recording.starts)
     simulator.reset(recording.seed, poses=recording.poses)
     actions, hashes, since = iter(recording.actions[:, None]), dict(recording.hashes), 0
     events = {event.step: event for event in recording.events}

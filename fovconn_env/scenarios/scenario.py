@@ -39,6 +39,9 @@ from fovconn_env.scenarios.settings import (
     YawEstimator,
 )
 
+# what a robot computes itself, and its policy may choose; "true", an oracle's, is none of their values
+ON_BOARD = ("weight", "lambda2", "relative_yaw", "max_neighbors", "max_ranges", "yaw", "power", "flooding")
+
 
 @settings_group
 @dataclass(frozen=True, kw_only=True)

@@ -23,6 +23,7 @@ from fovconn_env.baselines.laws.filters import split_name
 from fovconn_env.errors import SettingError, rule
 from fovconn_env.fields import check_array, check_keys, check_texts
 from fovconn_env.files import Archive, Damaged, Kind, one_line, read_archive, write_archive
+from fovconn_env.scenarios.scenario import ON_BOARD
 from fovconn_env.scenarios.serialize import scenario_to_json
 from fovconn_env.text import printable
 from fovconn_env.training.evaluation.flights import SHARES, Evaluation
@@ -32,8 +33,6 @@ from fovconn_env.training.evaluation.shelf import code_hash
 
 SUBMISSION = Kind("fovconn_submission", "submission", "fovconn submit writes them, as .npz", 1)
 OUTCOMES = (*SHARES, "duration")  # what is kept of every episode, and must come out again
-# settings of what a robot computes itself, which a policy may choose; "true", an oracle's, is none of their values
-ON_BOARD = ("weight", "lambda2", "relative_yaw", "max_neighbors", "max_ranges", "yaw", "power", "flooding")
 _HEADER = ("policy", "suites", "settings", "files", "record")
 
 

@@ -1,0 +1,1 @@
+"""The two halves of a step, compiled: the world's and one robot's."""
