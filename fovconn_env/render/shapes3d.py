@@ -7,10 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fovconn_env.render.levels import Levels
 from fovconn_env.render.obstacles import outlines
+from fovconn_env.scenarios.settings import Camera
 
 ROTOR, BODY, NOSE, ARMS = slice(0, 48), slice(48, 56), slice(56, 59), slice(59, 63)  # parts of `QUADROTOR`
 _FACE = 2.5  # m, longer walls are divided, so that they can be sorted by depth
+_STUB = 1.5  # m, the part of a field of view that is drawn as a cone
 
 
 def _circle(n: int, radius: float, at: tuple[float, float, float]) -> np.ndarray:
@@ -66,6 +69,19 @@ def rim(axis: tuple[float, float, float], a_min: float, n: int = 24) -> np.ndarr
     return a_min * ahead + math.sqrt(1.0 - a_min**2) * (np.cos(angle) * side + np.sin(angle) * up)
 
 
+def body_strips() -> list[np.ndarray]:
+    """A quadrotor of half-width 1 as lines, (n, 3) each: rings, hull and nose, body frame."""
+    rings = [*QUADROTOR[ROTOR].reshape(4, 12, 3), QUADROTOR[BODY], QUADROTOR[NOSE]]
+    return [np.vstack([ring, ring[:1]]) for ring in rings]
+
+
+def camera_strips(camera: Camera) -> list[np.ndarray]:
+    """A camera's field of view as lines, (n, 3) each: a short cone, and a sector out to its range; body frame, m."""
+    edge, sector = _STUB * rim(camera.unit_axis, camera.a_min), camera.d_max * fan(camera.unit_axis, camera.a_min)
+    spokes = [np.stack([np.zeros(3), corner]) for corner in edge[::3]]
+    return [np.vstack([edge, edge[:1]]), np.vstack([sector, sector[:1]]), *spokes]
+
+
 def _camera_axes(axis: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Optical axis, a horizontal direction across it, and the third axis, unit vectors (3,) each."""
     ahead = np.array(axis)
@@ -73,6 +89,25 @@ def _camera_axes(axis: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarr
     length = float(np.hypot(across[0], across[1]))
     side = across / length if length > 1e-9 else np.array([0.0, 1.0, 0.0])
     return ahead, side, np.cross(ahead, side)
+
+
+def prisms(pieces: np.ndarray, vertices: np.ndarray, levels: Levels) -> tuple[np.ndarray, np.ndarray]:
+    """Obstacle pieces (P,) PIECE with vertices (V, 2) as one mesh, corners (n, 3), m, and triangles (m, 3).
+
+    They are cut to the picture's heights.
+    """
+    low, high = np.maximum(pieces["low"], levels.ground), np.minimum(pieces["high"], levels.top)
+    corners, triangles, first = [np.zeros((0, 3))], [np.zeros((0, 3), int)], 0
+    for k, plan in enumerate(outlines(pieces, vertices)):
+        if low[k] < high[k]:
+            plan, n = plan[::4], len(plan[::4])
+            corners += [np.column_stack([plan, np.full(n, z)]) for z in (low[k], high[k])]
+            a, b = np.arange(n), (np.arange(n) + 1) % n
+            roof = np.column_stack([np.zeros(n, int), a, b]) + n  # pieces are convex
+            walls = np.column_stack([a, b, b + n]), np.column_stack([a, b + n, a + n])
+            triangles += [first + part for part in (*walls, roof)]
+            first += 2 * n
+    return np.concatenate(corners), np.concatenate(triangles)
 
 
 class Blocks(NamedTuple):

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from fovconn_env.render import palette
-from fovconn_env.render.page.rerun_log import THEME, body_strips, camera_strips, prisms, write_rrd
-from fovconn_env.render.shapes3d import attitudes
+from fovconn_env.render.levels import levels_of
+from fovconn_env.render.page.rerun_log import THEME, write_rrd
+from fovconn_env.render.shapes3d import attitudes, body_strips, camera_strips, prisms
 from fovconn_env.scenarios.presets import scenario
 from tests.made_flight import make_flight
 
@@ -41,11 +42,16 @@ def test_errors(tmp_path, monkeypatch):
         write_rrd(FLIGHT, tmp_path / "nowhere" / "flight.rrd")
 
 
+def mesh(flight):
+    heights = np.concatenate([flight.poses[..., 2].ravel(), flight.waypoints[:, 2]])
+    return prisms(flight.pieces, flight.vertices, levels_of(flight.scenario, heights))
+
+
 def test_obstacles_are_closed_meshes_within_the_picture():
-    corners, triangles = prisms(FLIGHT)
+    corners, triangles = mesh(FLIGHT)
     heights = np.concatenate([FLIGHT.poses[..., 2].ravel(), FLIGHT.waypoints[:, 2]])
     assert (corners[:, 2].min(), corners[:, 2].max()) == (-2.0, 1.75)  # floor and ceiling
-    free = prisms(FLIGHT._replace(scenario=scenario(FLIGHT.scenario, floor=None, ceiling=None)))[0]
+    free = mesh(FLIGHT._replace(scenario=scenario(FLIGHT.scenario, floor=None, ceiling=None)))[0]
     assert heights.min() - 1.0 <= free[:, 2].min() < free[:, 2].max() <= heights.max() + 1.0
     assert set(np.unique(triangles)) == set(range(len(corners)))
     a, b, c = corners[triangles].swapaxes(0, 1)
@@ -58,7 +64,7 @@ def test_a_body_points_ahead_and_its_camera_is_drawn_as_far_as_it_sees():
     assert corners[corners[:, 0].argmax(), 1] == 0.0
     assert corners[:, 0].max() > np.abs(corners[:, 1]).max()
     camera = FLIGHT.scenario.camera
-    rim, sector, *_ = camera_strips(FLIGHT)
+    rim, sector, *_ = camera_strips(FLIGHT.scenario.camera)
     np.testing.assert_allclose(rim @ camera.unit_axis, camera.a_min * np.linalg.norm(rim[0]))
     np.testing.assert_allclose(np.linalg.norm(sector[1:-1], axis=1), camera.d_max)
     np.testing.assert_allclose(sector[[0, -1]], 0.0)
@@ -118,7 +124,7 @@ def test_curves_are_the_flights(columns):
 
 
 def test_a_team_without_leader_and_obstacles(tmp_path):
-    assert [part.shape for part in prisms(make_flight())] == [(0, 3), (0, 3)]
+    assert [part.shape for part in mesh(make_flight())] == [(0, 3), (0, 3)]
     pytest.importorskip("rerun")
     flight = make_flight()._replace(scenario=scenario(leader="none", n_agents=3))
     assert write_rrd(flight, tmp_path / "flight.rrd").stat().st_size > 1000

@@ -15,8 +15,7 @@ import numpy as np
 from fovconn_env.flights.flight import Flight
 from fovconn_env.render import palette, sight
 from fovconn_env.render.levels import levels_of
-from fovconn_env.render.obstacles import outlines
-from fovconn_env.render.shapes3d import BODY, NOSE, QUADROTOR, ROTOR, attitudes, fan, grid_lines, rim
+from fovconn_env.render.shapes3d import attitudes, body_strips, camera_strips, grid_lines, prisms
 from fovconn_env.text import label
 
 THEME = palette.DARK  # as rerun's viewer
@@ -24,7 +23,6 @@ TIMELINE = "time"  # s
 _TRAIL = 15  # s of the past, with a point each
 _SIZE = 0.42  # m, half-width of a drawn robot
 _GAP = 0.7  # m between the tip of a link's arrow and the robot that is seen
-_STUB = 1.5  # m, the part of a field of view that is drawn as a cone
 _EYE = (-0.3, -0.7, 0.6)  # position of the eye from the middle of the flight, in sizes of the flight
 _MARGIN, _GRID = 4.0, 5.0  # m of floor and ceiling around the flight, between their lines
 
@@ -88,12 +86,12 @@ def _layout(rr: Any, flight: Flight) -> Any:
 def _log_ground(rr: Any, stream: Any, flight: Flight) -> None:
     """Log static shapes: obstacles, floor and ceiling, and the leader's course through its way points."""
     stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    corners, triangles = prisms(flight)
+    places = _places(flight)
+    levels, middle = levels_of(flight.scenario, places[:, 2]), (places.min(0) + places.max(0))[:2] / 2
+    corners, triangles = prisms(flight.pieces, flight.vertices, levels)
     if len(triangles):
         mesh = rr.Mesh3D(vertex_positions=corners, triangle_indices=triangles, albedo_factor=_rgb(THEME.obstacle))
         stream.log("world/obstacles", mesh, static=True)
-    places = _places(flight)
-    levels, middle = levels_of(flight.scenario, places[:, 2]), (places.min(0) + places.max(0))[:2] / 2
     radius = float(np.linalg.norm(places[:, :2] - middle, axis=1).max()) + _MARGIN
     for name, height in (("floor", levels.floor), ("ceiling", levels.ceiling)):
         if height is not None:
@@ -108,23 +106,6 @@ def _log_ground(rr: Any, stream: Any, flight: Flight) -> None:
         stream.log("world/waypoints", marks, static=True)
 
 
-def prisms(flight: Flight) -> tuple[np.ndarray, np.ndarray]:
-    """Obstacles as one mesh, corners (n, 3) and triangles (m, 3), cut to the picture's heights."""
-    levels = levels_of(flight.scenario, _places(flight)[:, 2])
-    low, high = np.maximum(flight.pieces["low"], levels.ground), np.minimum(flight.pieces["high"], levels.top)
-    corners, triangles, first = [np.zeros((0, 3))], [np.zeros((0, 3), int)], 0
-    for k, plan in enumerate(outlines(flight.pieces, flight.vertices)):
-        if low[k] < high[k]:
-            plan, n = plan[::4], len(plan[::4])
-            corners += [np.column_stack([plan, np.full(n, z)]) for z in (low[k], high[k])]
-            a, b = np.arange(n), (np.arange(n) + 1) % n
-            roof = np.column_stack([np.zeros(n, int), a, b]) + n  # pieces are convex
-            walls = np.column_stack([a, b, b + n]), np.column_stack([a, b + n, a + n])
-            triangles += [first + part for part in (*walls, roof)]
-            first += 2 * n
-    return np.concatenate(corners), np.concatenate(triangles)
-
-
 def _log_robots(rr: Any, stream: Any, flight: Flight) -> None:
     """Log poses as transforms with body and camera as children, trails, and the operator's stick."""
     scenario, at, times = flight.scenario, flight.poses[..., :3], _time_columns(rr, flight)
@@ -136,7 +117,7 @@ def _log_robots(rr: Any, stream: Any, flight: Flight) -> None:
         shape = rr.LineStrips3D([_SIZE * part for part in body_strips()], radii=-1.5)
         stream.log(f"{entity}/body", shape, static=True)
         stream.log(f"{entity}/name", rr.Points3D([[0.0, 0.0, 0.0]], labels=[str(i + 1)]), static=True)
-        stream.log(f"{entity}/camera", rr.LineStrips3D(camera_strips(flight), radii=-0.7), static=True)
+        stream.log(f"{entity}/camera", rr.LineStrips3D(camera_strips(scenario.camera), radii=-0.7), static=True)
         alive = flight.alive[:, i]
         changes = np.flatnonzero(np.diff(alive, prepend=~alive[:1]))  # 0, and where it fails or works again
         change_times = [rr.TimeColumn(TIMELINE, duration=flight.time[changes])]
@@ -157,20 +138,6 @@ def _log_robots(rr: Any, stream: Any, flight: Flight) -> None:
         arrows = rr.Arrows3D.columns(vectors=2.0 * flight.stick, origins=at[np.arange(len(at)), leader])
         stream.send_columns("world/stick", times, arrows.partition([1] * len(at)))
         stream.log("world/stick", rr.Arrows3D.from_fields(colors=_rgb(THEME.leader), radii=0.08), static=True)
-
-
-def body_strips() -> list[np.ndarray]:
-    """A quadrotor of half-width 1 as lines, (n, 3) each: rings, hull and nose, body frame."""
-    rings = [*QUADROTOR[ROTOR].reshape(4, 12, 3), QUADROTOR[BODY], QUADROTOR[NOSE]]
-    return [np.vstack([ring, ring[:1]]) for ring in rings]
-
-
-def camera_strips(flight: Flight) -> list[np.ndarray]:
-    """A camera's field of view as lines, (n, 3) each: a short cone, and a sector out to the camera's range."""
-    camera = flight.scenario.camera
-    edge, sector = _STUB * rim(camera.unit_axis, camera.a_min), camera.d_max * fan(camera.unit_axis, camera.a_min)
-    spokes = [np.stack([np.zeros(3), corner]) for corner in edge[::3]]
-    return [np.vstack([edge, edge[:1]]), np.vstack([sector, sector[:1]]), *spokes]
 
 
 def _log_links(rr: Any, stream: Any, flight: Flight) -> None:
