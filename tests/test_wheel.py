@@ -72,6 +72,10 @@ def test_the_wheel_holds_one_package(wheel):
     web = {str(file.relative_to(ROOT)) for suffix in ("js", "html", "css") for file in page.glob(f"*.{suffix}")}
     assert len(web) >= 8
     assert web <= names
+    messages = ROOT / "fovconn_env" / "fleet" / "ros" / "fovconn_msgs"
+    sources = {str(file.relative_to(ROOT)) for file in messages.rglob("*") if file.is_file()}
+    assert len(sources) >= 8  # for colcon
+    assert sources <= names
     assert {f"{package}/py.typed" for package in PACKAGES} <= names
     assert {name.split("/")[0] for name in names} == {"fovconn_env", f"fovconn_env-{__version__}.dist-info"}
     assert wheel.stat().st_size < LIMIT
