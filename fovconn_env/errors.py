@@ -46,6 +46,8 @@ EXTRAS = {
     **dict.fromkeys(("matplotlib", "PIL", "pygame"), "render"),
     **dict.fromkeys(("av", "pyarrow"), "export"),
     "rerun": "rerun",
+    **dict.fromkeys(("mcap", "rosbags"), "mcap"),
+    "foxglove": "foxglove",
     **dict.fromkeys(("torch", "stable_baselines3", "tensorboard", "tqdm"), "learn"),
 }
 

@@ -37,6 +37,10 @@ PROGRAMS = {
         import sys, fovconn_env.render.page.rerun_log, fovconn_env.render.page.web_page
         assert not {"rerun", "pyarrow", "matplotlib", "pygame"} & set(sys.modules)
         """,
+    "messages": """
+        import sys, fovconn_env.fleet.ros.foxglove_server, fovconn_env.fleet.ros.mcap_file
+        assert not {"mcap", "rosbags", "foxglove", "matplotlib", "pygame"} & set(sys.modules)
+        """,
 }
 
 

@@ -10,6 +10,7 @@ import pytest
 from fovconn_env import Simulator, scenario
 from fovconn_env.baselines import POLICIES, load_policy
 from fovconn_env.flights.recording import load, replay, state_hash
+from fovconn_env.flights.rollout import Observer
 from fovconn_env.training.play import gamepad, keyboard
 from fovconn_env.training.play.cockpit import Cockpit
 from fovconn_env.training.play.handover import Handover
@@ -327,6 +328,25 @@ def test_a_flight_ends_with_a_score():
     assert one.again() == "flight 3 from its start"
     assert (one.steps, one.over) == (0, False)
     assert one.new_seed() == "flight 4"
+
+
+def test_observers_look_on_at_every_flight():
+    class Seen(Observer):
+        flights, steps = 0, 0
+
+        def begin(self, simulator):
+            self.flights += 1
+
+        def update(self):
+            self.steps += 1
+
+    one = Session("LeaderFollow-v0", "expert", 3, changes=QUICK, observers=[seen := Seen()])
+    fly(one, 3)
+    assert (seen.flights, seen.steps) == (1, 3)
+    one.again()
+    fly(one, 2)
+    one.next_scenario(1)
+    assert (seen.flights, seen.steps) == (3, 5)
 
 
 def test_recordings(tmp_path):

@@ -166,10 +166,10 @@ def test_html_and_rrd_are_pages_of_the_flight(write):
     assert write(".rrd").stat().st_size > 10_000
 
 
-@pytest.mark.parametrize("suffix", [".mp4", ".parquet", ".gif", ".rrd"])
+@pytest.mark.parametrize("suffix", [".mp4", ".parquet", ".gif", ".rrd", ".mcap"])
 def test_a_missing_package_is_named_with_its_extra(fovconn, file, monkeypatch, suffix):
     found = importlib.util.find_spec
-    hidden = {"av", "pyarrow", "matplotlib", "rerun"}
+    hidden = {"av", "pyarrow", "matplotlib", "rerun", "mcap"}
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name in hidden else found(name, *rest))
     shown = fovconn("replay", file, "--out", f"flight{suffix}")
     assert shown.status == 2
@@ -247,12 +247,12 @@ BAD = {
     "suffix": (
         None,
         ("--out", "a.avi"),
-        "--out must end in one of .gif, .mp4, .csv, .parquet, .html, .rrd, got 'a.avi'",
+        "--out must end in one of .gif, .mp4, .csv, .parquet, .html, .rrd, .mcap, got 'a.avi'",
     ),
     "no suffix": (
         None,
         ("--out", "film"),
-        "--out must end in one of .gif, .mp4, .csv, .parquet, .html, .rrd, got 'film'",
+        "--out must end in one of .gif, .mp4, .csv, .parquet, .html, .rrd, .mcap, got 'film'",
     ),
     "folder": (None, ("--out", "no/a.csv"), "--out must name a file in an existing folder, got 'no/a.csv'"),
 }

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from fovconn_env.errors import SettingError, missing_package
+from fovconn_env.fleet.ros.foxglove_server import ADDRESS, FoxgloveServer
+from fovconn_env.fleet.ros.publisher import Publisher
 from fovconn_env.render.palette import THEMES
 from fovconn_env.training.commands.options import PolicyName, Replace, ScenarioName, Settings, check_recording, parse
 from fovconn_env.training.commands.screen import err, say_written
@@ -28,6 +31,12 @@ def command(
     theme: Annotated[str, typer.Option(help="light or dark.")] = "light",
     size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the window, pixels.")] = "1280x720",
     fps: Annotated[int, typer.Option(help="Pictures a second, at most.", min=5, max=240)] = 60,
+    live: Annotated[
+        bool, typer.Option("--foxglove", help=f"Show the flights in Foxglove, too, which connects to {ADDRESS}.")
+    ] = False,
+    address: Annotated[
+        str | None, typer.Option("--foxglove-at", metavar="HOST:PORT", help="The same at another address.")
+    ] = None,
     settings: Settings = None,
 ) -> None:
     """Fly the leader, or any other robot, yourself: in a window, with keyboard or gamepad. H shows the keys.
@@ -42,14 +51,18 @@ def command(
         from fovconn_env.training.play.app import App
     except ImportError as missing:
         raise missing_package("play", missing) or missing from missing
-    with err.status("loading (compiles once, 15 s)"):
-        Session(scenario_name, policy, seed, changes=changes).step()  # loads the kernels, off the record
-        session = Session(scenario_name, policy, seed, changes=changes, record=recording_file)
-    try:
-        App(session, size=wide, theme=theme, fps=fps).run()
-    finally:  # also after a signal
-        if session.files:
-            say_written(session.files)
+    with FoxgloveServer(address or ADDRESS) if live or address is not None else nullcontext() as server:
+        observers = [Publisher(server)] if server is not None else []
+        with err.status("loading (compiles once, 15 s)"):
+            Session(scenario_name, policy, seed, changes=changes).step()  # loads the kernels, off the record
+            session = Session(scenario_name, policy, seed, changes=changes, record=recording_file, observers=observers)
+        if server is not None:
+            err.print(f"Foxglove: open a connection to ws://{server.address}", highlight=False)
+        try:
+            App(session, size=wide, theme=theme, fps=fps).run()
+        finally:  # also after a signal
+            if session.files:
+                say_written(session.files)
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -12,7 +12,7 @@ from fovconn_env.flights.flight import Film
 from fovconn_env.flights.log import NOTE, load_log
 from fovconn_env.training.commands.options import Force, check_writable, read_recording
 from fovconn_env.training.commands.screen import grid, measures, out, progress, say_written
-from fovconn_env.training.evaluation.export import WRITERS, check_out, write_flight
+from fovconn_env.training.evaluation.export import LOGS, WRITERS, check_out, flight_log, write_flight
 from fovconn_env.training.evaluation.recordings import measure
 
 _OUT = f"Write the flight here; the ending is the format: {', '.join(WRITERS)}. An .html is a page that plays it back."
@@ -39,10 +39,11 @@ def command(
     with progress() as bar:
         task = bar.add_task("flying", total=steps)
         film = Film()
-        result, same = measure(
-            recording, force=force, watch=lambda step: bar.update(task, completed=step), observers=[film]
-        )
-        if path is not None:
+        with flight_log(path) as logs:
+            result, same = measure(
+                recording, force=force, watch=lambda step: bar.update(task, completed=step), observers=[film, *logs]
+            )
+        if path is not None and path.suffix not in LOGS:
             task = bar.add_task(f"writing {path.suffix}", total=None)
             write_flight(film.flight(), path, lambda done, total: bar.update(task, completed=done, total=total))
             bar.update(task, total=1, completed=1)

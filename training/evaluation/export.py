@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from fovconn_env import Flight
 from fovconn_env.errors import MissingPackage, SettingError
 from fovconn_env.files import replacing
+from fovconn_env.flights.rollout import Observer
 
 Watch = Callable[[int, int], None]  # told how much is done, and of how much
 MP4_FPS, MP4_SPEEDUP = 20, 2.0
@@ -92,6 +94,20 @@ def write_rerun(flight: Flight, path: Path, watch: Watch) -> None:
     write_rrd(flight, path)
 
 
+def write_ros(flight: Flight, path: Path, watch: Watch) -> None:
+    """ROS 2 messages for Foxglove, rosbag2 and their kind."""
+    from fovconn_env.fleet.ros.mcap_file import write_mcap
+
+    write_mcap(flight, path)
+
+
+def log_ros(path: Path) -> AbstractContextManager[Observer]:
+    """The same, and what each robot knows."""
+    from fovconn_env.fleet.ros.mcap_file import mcap_log
+
+    return mcap_log(path)
+
+
 # By suffix: the writer, the packages it needs, and the extra of this project that has them.
 WRITERS: dict[str, tuple[Callable[[Flight, Path, Watch], None], tuple[str, ...], str]] = {
     ".gif": (write_gif, ("matplotlib", "PIL"), "render"),
@@ -100,7 +116,10 @@ WRITERS: dict[str, tuple[Callable[[Flight, Path, Watch], None], tuple[str, ...],
     ".parquet": (write_parquet, ("pyarrow",), "export"),
     ".html": (write_html, (), ""),
     ".rrd": (write_rerun, ("rerun",), "rerun"),
+    ".mcap": (write_ros, ("mcap", "rosbags"), "mcap"),
 }
+# Of formats that hold more than a `Flight`: what makes an observer that writes the file while the flight is computed.
+LOGS: dict[str, Callable[[Path], AbstractContextManager[Observer]]] = {".mcap": log_ros}
 
 
 def check_out(path: Path) -> None:
@@ -117,6 +136,19 @@ def check_installed(what: str, packages: tuple[str, ...] = ("matplotlib", "PIL")
     missing = [name for name in packages if importlib.util.find_spec(name) is None]
     if missing:
         raise MissingPackage(f'{what} needs {" and ".join(missing)}: pip install "fovconn-env[{extra}]"')
+
+
+@contextmanager
+def flight_log(path: Path | None) -> Iterator[list[Observer]]:
+    """Observers that write a flight to a file while it is computed: one if its format is in LOGS, else none.
+
+    A file that is there stays until the new one is whole.
+    """
+    if path is None or path.suffix not in LOGS:
+        yield []
+        return
+    with replacing(path) as (part,), LOGS[path.suffix](part) as observer:
+        yield [observer]
 
 
 def write_flight(flight: Flight, path: Path, watch: Watch) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import operator
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from fovconn_env.baselines import POLICIES, find_policy
 from fovconn_env.errors import SettingError
 from fovconn_env.flights.metrics import Meter
 from fovconn_env.flights.recorder import Recorder
-from fovconn_env.flights.rollout import decide, steps
+from fovconn_env.flights.rollout import Observer, decide, steps
 from fovconn_env.training.play.handover import Handover
 from fovconn_env.training.play.score import Score, score_of
 from fovconn_env.training.play.script import script_stick
@@ -38,13 +39,15 @@ class Session:
         *,
         changes: dict[str, Any] | None = None,
         record: Path | None = None,
+        observers: Sequence[Observer] = (),
     ) -> None:
         """changes: settings, as `fovconn_env.scenario` takes them, for this and later scenarios.
 
-        record: file of the first flight, .npz; later ones get a number. Raises `ValueError` for an invalid scenario,
-        policy or file.
+        record: file of the first flight, .npz; later ones get a number. observers: look on at every flight. Raises
+        `ValueError` for an invalid scenario, policy or file.
         """
         self._changes, self._record, self._flights = changes or {}, record, 0
+        self._observers = observers
         if record is not None and record.suffix != ".npz":
             raise SettingError(f"--record must name a file in .npz, got {str(record)!r}: add the ending")
         self.scripted = True  # the script moves the stick of a leader that the person does not fly
@@ -251,8 +254,8 @@ class Session:
         self._flights += 1
         self._policy.reset()
         self._meter, self._recorder = Meter(), Recorder()
-        observers = [self._meter, self._recorder] if self._record is not None else [self._meter]
-        self._rollout = steps(self.simulator, self._act, observers)
+        recorders = [self._recorder] if self._record is not None else []
+        self._rollout = steps(self.simulator, self._act, [self._meter, *recorders, *self._observers])
         next(self._rollout)  # the start
         self.handover = Handover(self.scenario.n_agents)
         self._pilots: list[list[str]] = [[] for _ in range(self.scenario.n_agents)]
