@@ -95,6 +95,7 @@ def test_commands_parse(arguments):
     command = typer_main.get_command(app).commands[arguments[0]]
     values = command.make_context(arguments[0], arguments[1:]).params
     policies = values.get("policies") or [values.get("policy") or "expert"]
+    policies = [policy.rpartition("=")[2] for policy in policies]  # fovconn fleet takes "uav_3=follow" as well
     # written or trained by the reader
     yours = re.compile(r"my_policy\.py(:\w+)?|(lambda2-cbf:)?out/(\w+)/\3\.safetensors")
     assert all(policy in (*POLICIES, *ORACLES) or yours.fullmatch(policy) for policy in policies)

@@ -6,7 +6,7 @@ import math
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,6 +17,8 @@ from fovconn_env.baselines import find_policy
 from fovconn_env.errors import MachineError, closest, rule
 from fovconn_env.fleet import Crew, FleetSimulator, Gathering, LocalHub, RealTimeFleet
 from fovconn_env.fleet.gathering import check_scenario
+from fovconn_env.fleet.ros.foxglove_server import ADDRESS, FoxgloveServer
+from fovconn_env.fleet.ros.publisher import Publisher
 from fovconn_env.flights.log import Logger, save_log
 from fovconn_env.flights.metrics import Meter
 from fovconn_env.flights.recording import outcome
@@ -34,7 +36,7 @@ Policies = Annotated[
 
 
 def command(
-    name: Annotated[str, typer.Argument(metavar="SCENARIO", help="Scenario id, e.g. LeaderFollow-v0.")],
+    scenario_name: Annotated[str, typer.Argument(metavar="SCENARIO", help="Scenario id, e.g. LeaderFollow-v0.")],
     policies: Policies = None,
     clock: Annotated[
         Literal["lockstep", "real"], typer.Option(help="As the simulator, bit for bit; or in real time.")
@@ -54,10 +56,16 @@ def command(
     dead_after: Annotated[float, typer.Option(help="In real time: s of silence until it is dead.", min=0.0)] = 3.0,
     recording_file: RecordFile = None,
     fresh: Replace = False,
+    live: Annotated[
+        bool, typer.Option("--foxglove", help=f"Show the flight in Foxglove, which connects to {ADDRESS}.")
+    ] = False,
+    address: Annotated[
+        str | None, typer.Option("--foxglove-at", metavar="HOST:PORT", help="The same at another address.")
+    ] = None,
     settings: Settings = None,
 ) -> None:
     """Fly a team whose robots are processes of their own: a world and N robots, joined by nothing but messages."""
-    base = scenario(name, **parse(settings))
+    base = scenario(scenario_name, **parse(settings))
     flown = _policies(base, policies or ["expert"])
     free = _places(base, wait or [])
     check_recording(recording_file, fresh)
@@ -66,14 +74,17 @@ def command(
     own = {robot: policy for robot, policy in flown.items() if robot not in free}
     program = [sys.executable, "-m", "fovconn_env.training.cli", "robot"]
     commands = {robot: [*program, robot, "--connect", hub.endpoint, "--policy", own[robot]] for robot in own}
-    with Crew(commands, stdout=subprocess.DEVNULL) as crew, _ended(gathering) as world:
+    shown = FoxgloveServer(address or ADDRESS) if live or address is not None else nullcontext()
+    with shown as server, Crew(commands, stdout=subprocess.DEVNULL) as crew, _ended(gathering) as world:
         _gather(gathering, crew, free)
         if clock == "real":
             fleet = RealTimeFleet(gathering, starts=base, hold=hold, dead_after=dead_after)
         else:
             fleet = FleetSimulator(gathering, starts=base, losses_end=on_loss == "end")
         world.append(fleet)
-        _fly(fleet, seed, recording_file)
+        if server is not None:
+            err.print(f"Foxglove: open a connection to ws://{server.address}", highlight=False)
+        _fly(fleet, seed, recording_file, [Publisher(server)] if server is not None else [])
     if recording_file is not None:
         out.print(f"recorded in {recording_file}", highlight=False, soft_wrap=True)
 
@@ -137,10 +148,10 @@ def _gather(gathering: Gathering, crew: Crew, free: Sequence[str]) -> None:
         raise MachineError(f"{robot} has ended with status {status} before the flight: {why}")
 
 
-def _fly(fleet: FleetSimulator, seed: int, recording_file: Path | None) -> None:
+def _fly(fleet: FleetSimulator, seed: int, recording_file: Path | None, viewers: Sequence[Observer]) -> None:
     meter, real = Meter(), isinstance(fleet, RealTimeFleet)
     recorder: Any = Logger() if real else Recorder(policies=fleet.policies)
-    observers: list[Observer] = [meter, *([recorder] if recording_file is not None else [])]
+    observers: list[Observer] = [meter, *viewers, *([recorder] if recording_file is not None else [])]
     fleet.reset(seed)
     with progress() as bar:
         task = bar.add_task("flying", total=fleet.max_cycles)
