@@ -154,8 +154,7 @@ def test_a_robot_of_ones_own_joins_a_flight(tmp_path):
         assert fleet.wait(LIMIT) == 0
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("frozen", [False, True])
+@pytest.mark.parametrize("number, frozen", [(signal.SIGINT, False), (signal.SIGTERM, True)])
 def test_signals_end_all_processes(number, frozen):
     with started("--clock", "real") as fleet:
         found = flying(fleet)
