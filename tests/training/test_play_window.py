@@ -12,12 +12,14 @@ import numpy as np
 import pygame
 import pytest
 
+from fovconn_env import Simulator, scenario
 from fovconn_env.flights.recording import load
 from fovconn_env.render.palette import THEMES
 from fovconn_env.training.play import keyboard, panels
 from fovconn_env.training.play.app import App
 from fovconn_env.training.play.cockpit import Cockpit
 from fovconn_env.training.play.gamepad import DEAD, FULL
+from fovconn_env.training.play.person import Person
 from fovconn_env.training.play.session import Session
 
 ROOT = Path(__file__).parents[2]
@@ -464,3 +466,29 @@ def test_the_command_plays_and_says_what_it_wrote(fovconn, monkeypatch):
     assert shown.status == 0, shown.err
     assert shown.out.splitlines()[-1] == "wrote mine.npz"
     assert len(load("mine.npz").actions) == 21
+
+
+# ----------------------------------------------------------------------------------------------- one robot of a fleet
+def test_a_person_flies_one_robot_of_a_fleet():
+    task = scenario("LeaderFollow-v0", n_agents=3)
+    simulator, person = Simulator(task), Person(task)
+    observation = simulator.reset(3)[0, 0]
+    assert person.act(observation, "uav_0").tolist() == [0.0] * 4
+    pygame.event.post(pygame.Event(pygame.KEYDOWN, key=pygame.K_w, scancode=pygame.KSCAN_W, mod=0))
+    pygame.event.post(pygame.Event(pygame.KEYDOWN, key=pygame.K_e, scancode=pygame.KSCAN_E, mod=0))
+    for _ in range(10):
+        action = person.act(observation, "uav_0")
+    share = task.speed_limit / (task.speed_limit + task.stick_speed)
+    assert action.tolist() == [share, 0.0, 0.0, -1.0]
+    picture = pygame.surfarray.array3d(person.window.get_surface())
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 5
+    pygame.event.post(pygame.Event(pygame.WINDOWCLOSE, window=person.window))
+    assert person.act(observation, "uav_0").tolist() == [0.0] * 4
+    assert person.window is None
+
+
+def test_a_person_needs_a_display():
+    code = "from fovconn_env import scenario; from fovconn_env.training.play.person import Person"
+    code += "; Person(scenario('Mix-v0'))"
+    shown = subprocess.run([sys.executable, "-c", code], env=BARE, capture_output=True, text=True)
+    assert "--person needs a display to open a window" in shown.stderr

@@ -63,7 +63,7 @@ class App:
         for event in pygame.event.get():
             self._handle_event(event)
         cockpit = self.cockpit
-        cockpit.pad = add_sticks(*(self._read_stick(pad) for pad in self._pads.values())) if self._pads else REST
+        cockpit.pad = add_sticks(*(read_stick(pad) for pad in self._pads.values())) if self._pads else REST
         cockpit.advance(elapsed)
         page = cockpit.draw(self._window.size)
         if page is not None:
@@ -82,9 +82,9 @@ class App:
             cockpit.quit_requested = True
         elif event.type == pygame.KEYDOWN:
             if not event.mod & _NOT_OURS:
-                cockpit.press("shift+" * bool(event.mod & pygame.KMOD_SHIFT) + _key_name(event))
+                cockpit.press("shift+" * bool(event.mod & pygame.KMOD_SHIFT) + key_name(event))
         elif event.type == pygame.KEYUP:
-            cockpit.release(_key_name(event))
+            cockpit.release(key_name(event))
         elif event.type == pygame.WINDOWFOCUSLOST:
             cockpit.keyboard.release_all()
         elif event.type == pygame.MOUSEMOTION and event.buttons[0]:
@@ -109,10 +109,12 @@ class App:
         self._pads[pad.id] = pad
         self.cockpit.say(f"gamepad: {pad.name}")
 
-    @staticmethod
-    def _read_stick(pad: controller.Controller) -> Stick:
-        return stick_of(*(max(pad.get_axis(axis) / _AXIS_MAX, -1.0) for axis in _STICKS))
+
+def read_stick(pad: controller.Controller) -> Stick:
+    """Where a gamepad's sticks are."""
+    return stick_of(*(max(pad.get_axis(axis) / _AXIS_MAX, -1.0) for axis in _STICKS))
 
 
-def _key_name(event: pygame.Event) -> str:
+def key_name(event: pygame.Event) -> str:
+    """The name in `keyboard.TABLE` of a key that is pressed or released."""
     return name_of(pygame.key.name(event.key).lower(), _PLACES.get(event.dict.get("scancode", 0), ""))
