@@ -13,9 +13,11 @@ import pytest
 from fovconn_env import Fault, Map, Recorder, Simulator, scenario
 from fovconn_env.errors import SettingError
 from fovconn_env.files import RECORDING, Archive, Damaged, Kind, OtherKind, parse_archive, parse_json, write_archive
-from fovconn_env.flights import recording
+from fovconn_env.flights import log, recording
+from fovconn_env.flights.rollout import steps
 from fovconn_env.training.evaluation import evaluate, leaderboard, record, shelf, submission
 from fovconn_env.training.evaluation.episode_checks import check_file
+from fovconn_env.training.evaluation.export import table
 from fovconn_env.training.evaluation.leaderboard_tables import leaderboard_tables
 from fovconn_env.training.learn import datasets
 from tests.fuzzing import count
@@ -38,6 +40,16 @@ def flight():
     return recorder.recording()
 
 
+def logged():
+    """As a fleet logs a flight in real time."""
+    ground = Map().circle((9.0, 9.0), 0.3).polygon([(8, -4), (9, -4), (9, 2), (8.7, -1)], 0.1)
+    simulator, logger = Simulator(scenario(**TINY, map=ground)), log.Logger()
+    simulator.reset(1)
+    for _ in steps(simulator, lambda _: np.full((1, 2, 4), 0.1), [logger]):
+        pass
+    return logger.log(("a", "b"), {"lambda2": 0.5, "frames_late": 3})
+
+
 def written(folder, kind, archive, **options):
     place = folder / "file.npz"
     write_archive(place, kind, archive, **options)
@@ -49,6 +61,7 @@ def files(tmp_path_factory):
     """A small file of each kind, by its kind."""
     folder = tmp_path_factory.mktemp("files")
     flight().save(folder / "flight.npz")
+    log.save_log(logged(), folder / "log.npz")
     episodes = datasets.save(datasets.record("expert", scenario(**TINY), [50000]), folder / "data.npz")
     flown = evaluate("expert", scenario(**TINY), [0, 1])
     times = {"seeds": np.array(flown.seeds), "times": np.array([7, 8]), "histograms": flown.histograms}
@@ -65,13 +78,14 @@ def files(tmp_path_factory):
     return {
         submission.SUBMISSION: (folder / "submission.npz").read_bytes(),
         RECORDING: (folder / "flight.npz").read_bytes(),
+        log.LOG: (folder / "log.npz").read_bytes(),
         datasets.KIND: episodes.read_bytes(),
         shelf.EVALUATION: written(folder, shelf.EVALUATION, Archive(header, {**times, **flown.episodes})),
         CHECKPOINT: written(folder, CHECKPOINT, Archive({"recipe": {}, "best": {}}, state), compress=False),
     }
 
 
-ALL = [RECORDING, datasets.KIND, shelf.EVALUATION, submission.SUBMISSION, CHECKPOINT]
+ALL = [RECORDING, log.LOG, datasets.KIND, shelf.EVALUATION, submission.SUBMISSION, CHECKPOINT]
 KINDS = pytest.mark.parametrize("kind", ALL, ids=lambda k: k.name)
 
 
@@ -191,6 +205,12 @@ def read_recording(header, arrays):
     assert recording.scenario_from_json(parse_json(json.dumps(again).encode())) == read.scenario
 
 
+def read_log(header, arrays):
+    read = log.from_archive(Archive(read_again(header), arrays), "file.npz")
+    assert len(table(read.flight)["time"]) == read.flight.poses[..., 0].size
+    assert read.actions.shape[:2] == read.flight.poses.shape[:2]
+
+
 def read_data_set(header, arrays):
     read = datasets.from_archive(Archive(read_again(header), arrays), "file.npz")
     assert len(list(read.each())) == len(arrays["length"])
@@ -216,6 +236,7 @@ READERS = {
     "submission": (read_submission, (Damaged,)),
     "file of finished episodes": (read_finished, (Damaged,)),
     "recording": (read_recording, (Damaged, recording.OtherVersion)),
+    "flight log": (read_log, (Damaged,)),
     "data set": (read_data_set, (Damaged, SettingError)),
     "record": (read_record, (SettingError,)),
 }
@@ -271,7 +292,7 @@ NUMBERS = [np.nan, np.inf, -1.0, 1e30, 2.0**62, -(2.0**62), 7.0]
 
 
 @pytest.mark.fuzz
-@pytest.mark.parametrize("name", ["recording", "data set", "file of finished episodes", "submission"])
+@pytest.mark.parametrize("name", ["recording", "flight log", "data set", "file of finished episodes", "submission"])
 def test_arrays_that_are_wrong(name, contents):
     """Of other types and shapes, with numbers of all kinds, missing, or with others' names."""
     (header, arrays), rng, (read, errors) = contents[name], random.Random(4), READERS[name]

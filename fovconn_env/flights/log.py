@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -96,12 +97,15 @@ def save_log(log: FlightLog, path: str | Path) -> None:
 
 def load_log(path: str | Path) -> FlightLog:
     """Read a flight log; raises `OSError`, `files.OtherKind` and `files.Damaged`."""
-    name = printable(str(path))
-    archive = read_archive(Path(path), LOG)
+    return from_archive(read_archive(Path(path), LOG), printable(str(path)))
+
+
+def from_archive(archive: Archive, path: str) -> FlightLog:
+    """The flight log of a file's contents; path: its name in errors. Raises `files.Damaged`."""
     try:
         return _log(archive)
     except SettingError as problem:
-        raise Damaged(f"{name} is damaged: {one_line(problem)}") from problem
+        raise Damaged(f"{path} is damaged: {one_line(problem)}") from problem
 
 
 def _log(archive: Archive) -> FlightLog:
@@ -121,6 +125,8 @@ def _log(archive: Archive) -> FlightLog:
     check_array("piece_counts", arrays["piece_counts"], "i8", (-1, 3))
     count = len(arrays["piece_counts"])
     check_array("piece_lengths", arrays["piece_lengths"], "f8", (count, 3))
+    rising = bool((np.diff(arrays["time"]) > 0.0).all())
+    rule(rising, "time", "rising", arrays["time"][:3].tolist(), "a flight goes forward")
     leaders = arrays["leader"]
     rule(bool(((leaders >= 0) & (leaders < n)).all()), "leader", f"in 0..{n - 1}", leaders[:1].tolist(), "robots")
     if header["seed"] is not None:
@@ -128,8 +134,11 @@ def _log(archive: Archive) -> FlightLog:
     check_texts("policies", header["policies"], (0, n))
     rule(header["outcome"] in OUTCOMES, "outcome", f"one of {', '.join(OUTCOMES)}", header["outcome"], "how it ended")
     measures = header["measures"]
-    good = isinstance(measures, dict) and all(isinstance(value, (int, float)) for value in measures.values())
-    rule(good, "measures", "numbers by name", type(measures).__name__, "of the flight")
+    rule(isinstance(measures, dict), "measures", "an object", type(measures).__name__, "numbers by name")
+    check_texts("names of measures", list(measures))
+    for value in measures.values():
+        number = isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < math.inf
+        rule(number, "measures", "numbers by name", type(value).__name__, "what the flight was worth")
     pieces = _pieces(arrays["piece_counts"], arrays["piece_lengths"], len(arrays["vertices"]))
     parts = {field: arrays[field] for field in _ARRAYS if field != "actions"}
     course = {"waypoints": arrays["waypoints"], "pieces": pieces, "vertices": arrays["vertices"]}
