@@ -164,11 +164,13 @@ def test_the_file_says_how_to_read_it(flown):
     from rosbags.highlevel import AnyReader
 
     with AnyReader([flown[0]]) as bag:
-        lasting = {
-            connection.topic: connection.ext.offered_qos_profiles[0].durability.name == "TRANSIENT_LOCAL"
-            for connection in bag.connections
-        }
+        offered = {connection.topic: connection.ext.offered_qos_profiles[0] for connection in bag.connections}
+    lasting = {topic: quality.durability.name == "TRANSIENT_LOCAL" for topic, quality in offered.items()}
+    reliable = {topic: quality.reliability.name == "RELIABLE" for topic, quality in offered.items()}
     assert {topic for topic, holds in lasting.items() if holds} == {"/truth/scene", "/truth/robots", "/tf_static"}
+    assert {topic for topic, holds in reliable.items() if not holds} == {
+        topic for topic in reliable if re.match("/uav_", topic)
+    }
 
 
 def test_a_field_that_there_is_not_is_an_error():

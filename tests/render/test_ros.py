@@ -124,6 +124,7 @@ def test_topics_and_times():
     ]
     truth = [f"/truth/{what}" for what in ("links", "lambda2", "stick", *(f"{agent}/odom" for agent in task.agents))]
     assert {message.topic for _, message in sent} == {*robots, *truth, "/tf", *lasting}
+    assert {message.topic: message._replace(content={}) for _, message in sent} == messages.topics(task)
     odom = on(sent, "/truth/uav_1/odom")[-1]
     assert odom["header"]["stamp"] == {"sec": times[-1] // 10**9, "nanosec": times[-1] % 10**9}
 
@@ -233,6 +234,7 @@ def test_the_scene_has_obstacles_and_the_course():
     bare = on(published(small("Regroup-v0"), 1)[1], "/truth/scene")[0]["markers"]
     assert {marker.get("ns") for marker in bare} <= {None, "obstacles"}
     assert not on(published(small("Regroup-v0"), 1)[1], "/truth/stick")
+    assert "/truth/stick" not in messages.topics(small("Regroup-v0"))
 
 
 def test_a_dead_robot_is_silent_and_grey_and_may_come_back():

@@ -10,7 +10,7 @@ from typing import Any
 
 from fovconn_env.errors import MissingPackage
 from fovconn_env.fleet.ros.cdr import MESSAGE_ENCODING, SCHEMA_ENCODING, Cdr
-from fovconn_env.fleet.ros.messages import Message
+from fovconn_env.fleet.ros.messages import Message, is_reliable
 from fovconn_env.fleet.ros.publisher import Publisher, publish_flight
 from fovconn_env.flights.flight import Flight
 from fovconn_env.version import __version__
@@ -20,6 +20,7 @@ _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 _ANY = {"deadline": _FOREVER, "lifespan": _FOREVER, "liveliness": 1, "liveliness_lease_duration": _FOREVER}
 _COMMON = {"history": 1, **_ANY, "avoid_ros_namespace_conventions": False}  # keep the last ones
 _SENSOR_DATA = {**_COMMON, "depth": 5, "reliability": 2, "durability": 2}  # best effort, volatile
+_RELIABLE = {**_SENSOR_DATA, "reliability": 1}
 _LASTING = {**_COMMON, "depth": 1, "reliability": 1, "durability": 1}  # reliable, transient local
 
 
@@ -88,7 +89,8 @@ class McapFile:
         if message.kind not in self._schemas:
             schema = self._cdr.schema(message.kind).encode()
             self._schemas[message.kind] = self._writer.register_schema(message.kind, SCHEMA_ENCODING, schema)
-        quality = json.dumps([_LASTING if message.lasting else _SENSOR_DATA])
+        fleeting = _RELIABLE if is_reliable(message.topic) else _SENSOR_DATA
+        quality = json.dumps([_LASTING if message.lasting else fleeting])
         return self._writer.register_channel(
             message.topic, MESSAGE_ENCODING, self._schemas[message.kind], {"offered_qos_profiles": quality}
         )

@@ -28,6 +28,7 @@ from fovconn_env import layout
 from fovconn_env.fleet.ros import definitions
 from fovconn_env.fleet.ros.markers import bearing_marker, link_markers, point, robot_markers, scene_markers
 from fovconn_env.fleet.ros.view import NANO, Instant, Scene
+from fovconn_env.render import palette
 from fovconn_env.render.shapes3d import attitudes
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.simulator import Simulator
@@ -43,6 +44,29 @@ class Message(NamedTuple):
     kind: str  # "nav_msgs/msg/Odometry"
     content: Content
     lasting: bool = False  # it holds until the next one: who comes later gets it, too ("transient local")
+
+
+def topics(scenario: Scenario) -> dict[str, Message]:
+    """An empty message of each topic of a flight, by topic: what kind it is of, and whether it lasts."""
+    markers = "visualization_msgs/msg/MarkerArray"
+    kinds = {"/truth/links": markers, "/truth/lambda2": "std_msgs/msg/Float64"}
+    kinds |= dict.fromkeys(("/tf", "/tf_static"), "tf2_msgs/msg/TFMessage")
+    kinds |= dict.fromkeys(("/truth/robots", "/truth/scene"), markers)
+    if palette.leader_of(scenario) is not None:
+        kinds["/truth/stick"] = "geometry_msgs/msg/TwistStamped"
+    for agent in scenario.agents:
+        kinds[f"/{agent}/observation"] = "fovconn_msgs/msg/Observation"
+        kinds[f"/{agent}/lambda2_hat"] = "std_msgs/msg/Float64"
+        kinds[f"/{agent}/bearings"] = "visualization_msgs/msg/Marker"
+        kinds[f"/{agent}/ranges"] = "sensor_msgs/msg/PointCloud2"
+        kinds[f"/truth/{agent}/odom"] = "nav_msgs/msg/Odometry"
+    lasting = "/tf_static", "/truth/robots", "/truth/scene"
+    return {topic: Message(topic, kind, {}, topic in lasting) for topic, kind in kinds.items()}
+
+
+def is_reliable(topic: str) -> bool:
+    """Whether messages of a topic are sent until they arrive: what viewers and tf2 take; the rest is sensor data."""
+    return topic.startswith(("/truth/", "/tf"))
 
 
 def base(agent: str) -> str:
