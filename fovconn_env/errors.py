@@ -48,6 +48,8 @@ EXTRAS = {
     "rerun": "rerun",
     **dict.fromkeys(("mcap", "rosbags"), "mcap"),
     "foxglove": "foxglove",
+    "zenoh": "zenoh",
+    "cyclonedds": "dds",
     **dict.fromkeys(("torch", "stable_baselines3", "tensorboard", "tqdm"), "learn"),
 }
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from fovconn_env.fleet import make_hub
 from fovconn_env.flights.log import load_log
 from fovconn_env.flights.recording import load, replay
 
@@ -110,7 +111,7 @@ WRONG = {
     "a team oracle": ((*TEAM, "--policy", "oracle-planner"), "policy must act by observations"),
     "nobody to wait for": ((*TEAM, "--wait", "9"), "--wait must be a robot of the team, got 'uav_9'"),
     "another camera": (("RealCamera-v0",), "flies in the simulator alone"),
-    "endpoint": ((*TEAM, "--endpoint", "udp:a"), "endpoint must be unix:PATH or tcp:HOST:PORT"),
+    "endpoint": ((*TEAM, "--endpoint", "udp:a"), "endpoint must be unix:PATH, tcp:HOST:PORT, zenoh:"),
     "conflict": ((*TEAM, "--policy", "uav_0=expert-flooding", "--policy", "uav_1=power.py:Mine"), "uav_1"),
 }
 
@@ -128,9 +129,7 @@ def test_what_cannot_fly_is_one_line(case, fovconn, tmp_path):
 
 
 def test_an_endpoint_in_use(fovconn, tmp_path):
-    from fovconn_env.fleet import LocalHub
-
-    with contextlib.closing(LocalHub(f"unix:{tmp_path / 'here'}")) as hub:
+    with contextlib.closing(make_hub("local", f"unix:{tmp_path / 'here'}")) as hub:
         shown = fovconn("fleet", *TEAM, "--endpoint", hub.endpoint)
     assert shown.status == 2
     assert "endpoint must be free" in shown.err

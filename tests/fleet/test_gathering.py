@@ -14,8 +14,9 @@ from fovconn_env.errors import MachineError, SettingError
 from fovconn_env.fleet import frames, gathering
 from fovconn_env.fleet.frames import Stranger, head, parse, text_frame
 from fovconn_env.fleet.gathering import Gathering
+from fovconn_env.fleet.local_link import LocalHub, parse_endpoint
 from fovconn_env.fleet.robot import Refused, Robot
-from fovconn_env.fleet.transport import LocalHub, Lost, connect, parse_endpoint
+from fovconn_env.fleet.transport import Lost, connect
 from fovconn_env.fleet.world import FleetSimulator
 from fovconn_env.scenarios.presets import scenario
 from tests.fleet.memory_hub import MemoryHub, gathered

@@ -15,7 +15,7 @@ import typer
 from fovconn_env import Recorder, Scenario, scenario
 from fovconn_env.baselines import find_policy
 from fovconn_env.errors import MachineError, closest, rule
-from fovconn_env.fleet import Crew, FleetSimulator, Gathering, LocalHub, RealTimeFleet
+from fovconn_env.fleet import Crew, FleetSimulator, Gathering, RealTimeFleet, make_hub
 from fovconn_env.fleet.gathering import check_scenario
 from fovconn_env.fleet.ros.foxglove_server import ADDRESS, FoxgloveServer
 from fovconn_env.fleet.ros.publisher import Publisher
@@ -42,9 +42,15 @@ def command(
         Literal["lockstep", "real"], typer.Option(help="As the simulator, bit for bit; or in real time.")
     ] = "lockstep",
     seed: Annotated[int, typer.Option(help="Seed of the flight.", min=0)] = 0,
+    transport: Annotated[
+        Literal["local", "zenoh", "dds"], typer.Option(help="What carries the messages: sockets, zenoh, or DDS.")
+    ] = "local",
     endpoint: Annotated[
         str | None,
-        typer.Option(help="Where robots connect: unix:PATH or tcp:HOST:PORT.  [default: a socket for this flight]"),
+        typer.Option(
+            help="Where robots connect: unix:PATH or tcp:HOST:PORT; zenoh:LOCATOR; dds:HOST:DOMAIN."
+            "  [default: a free one of this machine]"
+        ),
     ] = None,
     wait: Annotated[
         list[str] | None, typer.Option("--wait", help="Leave this robot to a `fovconn robot` of yours; repeatable.")
@@ -69,7 +75,7 @@ def command(
     flown = _policies(base, policies or ["expert"])
     free = _places(base, wait or [])
     check_recording(recording_file, fresh)
-    hub = LocalHub(endpoint)
+    hub = make_hub(transport, endpoint)
     gathering = Gathering(base, hub)
     own = {robot: policy for robot, policy in flown.items() if robot not in free}
     program = [sys.executable, "-m", "fovconn_env.training.cli", "robot"]
