@@ -119,20 +119,26 @@ class Station:
             self._waits.wait(int(1e9 * left))
             self.take_in()
 
-    def take_in(self) -> None:
-        """Take the frames that have come, and notice who has come and gone."""
-        gone = self._match() if self._reader.take_status() & DDSStatus.SubscriptionMatched else set()
+    def take_in(self) -> bool:
+        """Take the frames that have come, and notice who has come and gone; whether anybody has."""
+        changed = bool(self._reader.take_status() & DDSStatus.SubscriptionMatched)
+        gone = self._match() if changed else set()
         while samples := self._reader.take(AT_ONCE):
-            for info, data in [(sample.sample_info, sample.data) for sample in samples if sample.sample_info.valid_data]:
-                if info.publication_handle not in self.links:
+            for sample in samples:
+                writer = sample.sample_info.publication_handle
+                if writer not in self.links:
                     self._match()  # it has come after the status was taken
-                link = self.links.get(info.publication_handle)
-                if link is not None:
-                    link.take(data)
+                if writer not in self.links:
+                    self.links[writer] = self.meet(writer)  # it has gone already
+                    gone.add(writer)
+                link = self.links.get(writer)
+                if link is not None and sample.sample_info.valid_data:
+                    link.take(sample.data)
         for writer in gone:  # after what they have written
             link = self.links.pop(writer)
             if link is not None:
                 link.gone = True
+        return changed
 
     def _match(self) -> set[int]:
         """Meet the writers that have come; those that have gone."""
@@ -238,14 +244,15 @@ class DdsHub(Station):
         self.wait_for(lambda: any(link.pending for link in ours), timeout)
         return [link for link in ours if link.pending]
 
-    def take_in(self) -> None:
+    def take_in(self) -> bool:
         """As a `Station`'s, and let in whose readers have come; a stranger may have none."""
-        super().take_in()
+        changed = super().take_in()
         for link in list(self._coming):
             if _handles(link.writer.get_matched_subscriptions) or time.monotonic() - link.since > LEASE:
                 self._waits.detach(link.writer)
                 self._coming.remove(link)
                 self._new.append(link)
+        return changed
 
     def meet(self, writer: int) -> DdsLink | None:
         """A link to a robot, or a stranger; none for too many."""
@@ -274,13 +281,16 @@ class RobotStation(Station):
         """Whether the world reads what the robot writes."""
         return self._world is not None
 
-    def take_in(self) -> None:
+    def take_in(self) -> bool:
         """As a `Station`'s, and notice whether the world reads."""
-        super().take_in()
+        changed = super().take_in()
+        if changed and self.link not in self.links.values():  # it has gone, or has come and gone
+            self.link.gone = True
         if self.link.writer.take_status() & DDSStatus.PublicationMatched:
             readers = _handles(self.link.writer.get_matched_subscriptions)
             self.link.gone |= self.connected and self._world not in readers
             self._world = self._world or next(iter(readers), None)
+        return changed
 
     def meet(self, writer: int) -> DdsLink | None:
         """The world comes first."""

@@ -226,7 +226,7 @@ def _robot(sample: zenoh.Sample) -> str:
 def _locator(endpoint: str) -> str:
     """The locator of an endpoint; raises `SettingError`."""
     locator = endpoint.partition(":")[2]
-    good = re.fullmatch(r"[a-z0-9-]+/.+", locator) is not None and not locator.endswith(":0")
+    good = re.fullmatch(r"unix[a-z-]+/.+|[a-z0-9]+/.+:[1-9]\d*([?#].*)?", locator) is not None
     rule(good, "endpoint", "zenoh:LOCATOR with a port", endpoint, "as zenoh:tcp/127.0.0.1:7447")
     return locator
 
