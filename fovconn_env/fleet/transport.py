@@ -60,7 +60,7 @@ class Hub(Protocol):
         ...
 
     def close(self) -> None:
-        """Refuse new links from now on; a second call has no effect."""
+        """Refuse new links from now on; links may end, too. A second call has no effect."""
         ...
 
 
