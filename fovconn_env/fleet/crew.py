@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-ENDING = 1.0  # s, in which a process ends by itself, and again when it is asked to
+ENDING = 0.6  # s, in which a process ends by itself, and again when it is asked to
 
 
 class Crew:

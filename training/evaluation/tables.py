@@ -240,7 +240,7 @@ def run_line(record: Record) -> str:
     """Seeds, date, versions and time of a record in a sentence."""
     run = record.run
     versions = [f"fovconn_env {record.version}", *(f"{name} {run[name]}" for name in ("python", "numpy", "numba"))]
-    took = f"{run['seconds']:.0f} s on {run['cores']} cores"
+    took = run.get("reused") or f"{run['seconds']:.0f} s on {run['cores']} cores"
     return f"Seeds {record.seeds[0]} to {record.seeds[-1]}, {run['finished'][:10]}, {', '.join(versions)}; {took}."
 
 
