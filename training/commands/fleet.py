@@ -17,6 +17,9 @@ from fovconn_env.baselines import find_policy
 from fovconn_env.errors import MachineError, closest, rule
 from fovconn_env.fleet import Crew, FleetSimulator, Gathering, RealTimeFleet, make_hub
 from fovconn_env.fleet.gathering import check_scenario
+from fovconn_env.fleet.ros.bridge import Bridge, command_topics
+from fovconn_env.fleet.ros.dds import Participant
+from fovconn_env.fleet.ros.dds_topics import DdsInbox, DdsSink
 from fovconn_env.fleet.ros.foxglove_server import ADDRESS, FoxgloveServer
 from fovconn_env.fleet.ros.publisher import Publisher
 from fovconn_env.flights.log import Logger, save_log
@@ -58,7 +61,10 @@ def command(
     on_loss: Annotated[
         Literal["end", "dead"], typer.Option(help="In lockstep: what a robot that is lost does to the flight.")
     ] = "end",
-    hold: Annotated[float, typer.Option(help="In real time: s of silence until a robot hovers.", min=0.0)] = 0.2,
+    hold: Annotated[
+        float,
+        typer.Option(help="In real time: s of silence until a robot hovers. And s that a ROS command lasts.", min=0.0),
+    ] = 0.2,
     dead_after: Annotated[float, typer.Option(help="In real time: s of silence until it is dead.", min=0.0)] = 3.0,
     recording_file: RecordFile = None,
     fresh: Replace = False,
@@ -68,6 +74,12 @@ def command(
     address: Annotated[
         str | None, typer.Option("--foxglove-at", metavar="HOST:PORT", help="The same at another address.")
     ] = None,
+    ros: Annotated[
+        bool, typer.Option("--ros", help="ROS 2 nodes see the flight, and may fly its robots; always with --transport dds.")
+    ] = False,
+    domain: Annotated[
+        int | None, typer.Option(help="The same, in this ROS domain.  [default: ROS_DOMAIN_ID, or 0]")
+    ] = None,
     settings: Settings = None,
 ) -> None:
     """Fly a team whose robots are processes of their own: a world and N robots, joined by nothing but messages."""
@@ -75,6 +87,9 @@ def command(
     flown = _policies(base, policies or ["expert"])
     free = _places(base, wait or [])
     check_recording(recording_file, fresh)
+    needed_by = "--ros" if ros or domain is not None else "the transport dds"
+    with_ros = ros or domain is not None or transport == "dds"
+    sink, inbox = _ros(domain, base, needed_by) if with_ros else (None, None)
     hub = make_hub(transport, endpoint)
     gathering = Gathering(base, hub)
     own = {robot: policy for robot, policy in flown.items() if robot not in free}
@@ -90,7 +105,9 @@ def command(
         world.append(fleet)
         if server is not None:
             err.print(f"Foxglove: open a connection to ws://{server.address}", highlight=False)
-        _fly(fleet, seed, recording_file, [Publisher(server)] if server is not None else [])
+        viewers = [Publisher(each) for each in (server, sink) if each is not None]
+        bridge = Bridge(fleet, inbox, hold=hold, drop=gathering.drop) if inbox is not None else None
+        _fly(fleet, seed, recording_file, viewers, bridge)
     if recording_file is not None:
         out.print(f"recorded in {recording_file}", highlight=False, soft_wrap=True)
 
@@ -154,14 +171,27 @@ def _gather(gathering: Gathering, crew: Crew, free: Sequence[str]) -> None:
         raise MachineError(f"{robot} has ended with status {status} before the flight: {why}")
 
 
-def _fly(fleet: FleetSimulator, seed: int, recording_file: Path | None, viewers: Sequence[Observer]) -> None:
+def _ros(domain: int | None, base: Scenario, needed_by: str) -> tuple[DdsSink, DdsInbox]:
+    """What ROS 2 nodes hear of a flight, and what they say."""
+    participant = Participant(domain, needed_by)
+    return DdsSink(participant, base), DdsInbox(participant, command_topics(base))
+
+
+def _fly(
+    fleet: FleetSimulator,
+    seed: int,
+    recording_file: Path | None,
+    viewers: Sequence[Observer],
+    bridge: Bridge | None,
+) -> None:
     meter, real = Meter(), isinstance(fleet, RealTimeFleet)
     recorder: Any = Logger() if real else Recorder(policies=fleet.policies)
     observers: list[Observer] = [meter, *viewers, *([recorder] if recording_file is not None else [])]
     fleet.reset(seed)
     with progress() as bar:
         task = bar.add_task("flying", total=fleet.max_cycles)
-        for done, _ in enumerate(steps(fleet, lambda _: fleet.actions.copy(), observers)):
+        act = fleet.actions.copy if bridge is None else lambda: bridge.actions(fleet.actions)
+        for done, _ in enumerate(steps(fleet, lambda _: act(), observers)):
             bar.update(task, completed=done)
         bar.update(task, total=done, completed=done)
     flown = Evaluation(
@@ -176,6 +206,8 @@ def _fly(fleet: FleetSimulator, seed: int, recording_file: Path | None, viewers:
         line = f"real-time factor {kept.real_time_factor:.3f}; actions missed {kept.actions_missed:.2%}"
         line += f"; rounds answered {kept.rounds_answered:.2%}, after {p50:.2f} ms (p50), {p99:.2f} ms (p99)"
         out.print(line, highlight=False, soft_wrap=True)
+    for robot, count in bridge.flown.items() if bridge is not None else ():
+        out.print(f"{robot} was flown from outside in {count} steps", highlight=False)
     for what, count in fleet.strangers.items():
         err.print(f"dropped {count} times: {what}", style="yellow", soft_wrap=True)
     if recording_file is not None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fovconn_env.errors import MissingPackage
+from fovconn_env.errors import MissingPackage, SettingError
 from fovconn_env.fleet.ros.definitions import PACKAGE, definitions
 
 SCHEMA_ENCODING, MESSAGE_ENCODING = "ros2msg", "cdr"  # as MCAP and Foxglove call them
@@ -50,6 +50,21 @@ class Cdr:
         Arrays of numbers may be anything that numpy takes. Raises `KeyError` for a field that there is not.
         """
         return bytes(self._store.serialize_cdr(self._made(kind, content), kind, little_endian=True))
+
+    def decode(self, kind: str, data: bytes) -> Any:
+        """A message, by attributes, of its CDR; raises `SettingError` for bytes that are none."""
+        try:
+            return self._store.deserialize_cdr(data, kind)
+        except Exception as problem:  # rosbags' generated code meets anything
+            raise SettingError(f"a message must be CDR of {kind}, got {len(data)} bytes: {problem!r}") from None
+
+    def type_hash(self, kind: str) -> str:
+        """The hash by which ROS 2 tells definitions apart (REP-2016), "RIHS01_..."."""
+        return self._store.hash_rihs01(kind)
+
+    def fields(self, kind: str) -> list[tuple[str, Any]]:
+        """Name and description, as rosbags has them, of each field of a message."""
+        return self._store.fielddefs[kind][1]
 
     def _made(self, kind: str, content: Mapping[str, Any]) -> Any:
         """A message as rosbags' class."""
