@@ -42,9 +42,10 @@ suite-nojit:  # half the processes: it has a fifth of the work
 test-fast: $(VENV)/installed-dev  ## the suite without its long statistics
 	$(PYTEST) -m "not slow" $(ARGS)
 
-test-integrations: $(LIBRARIES)/current/installed $(LIBRARIES)/older/installed  ## docs/examples, each with its library (torch, 3 GB)
+test-integrations: $(addprefix $(LIBRARIES)/,$(addsuffix /installed,current older ros))  ## docs/examples, each with its library (torch, 3 GB)
 	$(LIBRARIES)/current/bin/python -m pytest tests/integrations tests/training/test_sb3.py tests/training/test_training.py tests/render/test_rerun.py tests/test_files.py $(ARGS)
 	$(LIBRARIES)/older/bin/python -m pytest tests/integrations $(ARGS)
+	$(LIBRARIES)/ros/bin/python -m pytest tests/integrations/test_ros2.py $(ARGS)
 
 fuzz: $(VENV)/installed-dev  ## the tests with random inputs, with as many as docs/security.md promises (hours)
 	FUZZ=full $(PYTEST) -m fuzz $(ARGS)
