@@ -210,6 +210,7 @@ def test_a_missing_package_is_named_with_its_extra(package, monkeypatch):
 WRONG = {
     "--ros": 'fovconn: --ros needs cyclonedds: pip install "fovconn-env[dds]"',
     "--domain=3": 'fovconn: --ros needs cyclonedds: pip install "fovconn-env[dds]"',
+    "--transport=dds": 'fovconn: the transport dds needs cyclonedds: pip install "fovconn-env[dds]"',
     "--domain=233": "fovconn: domain must be a whole number from 0 to 232, got 233",
 }
 

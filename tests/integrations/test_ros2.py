@@ -102,7 +102,7 @@ def process(*words):
 
 def fly(node, words, meanwhile=lambda: None):
     """Fly a fleet to its end while the node spins; what it has printed."""
-    with process(*FOVCONN, "fleet", *SHORT, "--ros", *words) as fleet:
+    with process(*FOVCONN, "fleet", *SHORT, *words) as fleet:
         spin(node, lambda: fleet.poll() is not None, meanwhile)
         out, err = fleet.communicate()
     assert fleet.returncode == 0, err
@@ -166,7 +166,7 @@ def test_a_node_hears_six_poses_and_what_robots_know(node, messages, tmp_path):
     node.listen(MarkerArray, "/truth/links")
     node.listen(MarkerArray, "/truth/scene", lasting=True)
     node.listen(Clock, "/clock", reliable=False)
-    fly(node, ["--set", "max_cycles=40", "--record", tmp_path / "a.npz"])
+    fly(node, ["--ros", "--set", "max_cycles=40", "--record", tmp_path / "a.npz"])
     recording = load(tmp_path / "a.npz")
     poses, observations = instants(recording)
     spin(node, lambda: len(node.heard["/truth/uav_5/odom"]) == len(poses) == len(node.heard["/truth/links"]))
@@ -194,7 +194,7 @@ def test_a_node_flies_a_robot_by_its_observations(node, messages, tmp_path):
     node.listen(TwistStamped, "/uav_2/cmd_vel")
     with process(sys.executable, EXAMPLES / "ros_pilot.py", "uav_2") as pilot:
         spin(node, lambda: node.count_publishers("/uav_2/cmd_vel") == 1)
-        settings = ["--set", "n_agents=3", "--set", "max_cycles=400", "--hold", "1000"]
+        settings = ["--ros", "--set", "n_agents=3", "--set", "max_cycles=400", "--hold", "1000"]
         out, _ = fly(node, [*settings, "--record", tmp_path / "a.npz"])
         assert pilot.poll() is None
     recording = load(tmp_path / "a.npz")
@@ -230,8 +230,9 @@ def test_a_stick_from_outside_and_commands_that_are_dropped(node, tmp_path):
         nan.publish(bad)
         other.publish(Twist())
 
-    settings = ["--clock", "real", "--set", "n_agents=3", "--set", "leader=human", "--set", "max_cycles=60"]
-    out, err = fly(node, [*settings, "--record", tmp_path / "a.npz"], speak)
+    clock = ["--transport", "dds", "--clock", "real"]
+    settings = ["--set", "n_agents=3", "--set", "leader=human", "--set", "max_cycles=60"]
+    out, err = fly(node, [*clock, *settings, "--record", tmp_path / "a.npz"], speak)
     assert "flown from outside" not in out
     assert re.search(r"dropped \d+ times: /uav_1/cmd_vel: numbers that are not finite", err)
     assert f"dropped 1 times: /uav_2/cmd_vel comes as geometry_msgs/msg/Twist, not {KIND}" in err

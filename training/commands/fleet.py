@@ -75,7 +75,8 @@ def command(
         str | None, typer.Option("--foxglove-at", metavar="HOST:PORT", help="The same at another address.")
     ] = None,
     ros: Annotated[
-        bool, typer.Option("--ros", help="ROS 2 nodes see the flight, and may fly its robots; always with --transport dds.")
+        bool,
+        typer.Option("--ros", help="ROS 2 nodes hear the flight, and may fly robots. Always with dds."),
     ] = False,
     domain: Annotated[
         int | None, typer.Option(help="The same, in this ROS domain.  [default: ROS_DOMAIN_ID, or 0]")
