@@ -5,7 +5,9 @@ from __future__ import annotations
 import functools
 import hashlib
 import math
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 from numba.core import config
@@ -138,6 +140,15 @@ def differing(a: Mapping[str, bytes], b: Mapping[str, bytes]) -> list[str]:
         others = [part for part in a.whole if a.whole[part] != b.whole[part]]  # at least between their fields
         a, b = ({name: data for part in others for name, data in one.part(part).items()} for one in (a, b))
     return sorted(name for name in a.keys() | b.keys() if a.get(name) != b.get(name))
+
+
+def wait_for(what: Callable[[], Any], limit: float = 120.0) -> Any:
+    """What `what` returns, as soon as it is something; limit: s, for a busy machine."""
+    until = time.monotonic() + limit
+    while not (result := what()):
+        assert time.monotonic() < until
+        time.sleep(0.02)
+    return result
 
 
 def digest(simulator: Simulator) -> str:

@@ -368,11 +368,7 @@ def receive_messages(state, scratch, b, slot, turn, p):
 def send_messages(state, scratch, b, slot, turn, p):
     """Every robot writes its messages into the slot just emptied; the radio decides which of them will arrive."""
     n, episode, pairs, infos = state.body.shape[1], state.episode[b], state.pair[b], state.info[b]
-    n_bytes = layout.BYTES_PER_MESSAGE * (1 if p.loss > 0.0 or state.unicast.shape[1] > 1 else p.rounds)
-    if turn.first:
-        n_bytes += bytes_per_beats(n)
-        if p.lambda2 == power_iteration.FLOODING:
-            n_bytes += bytes_per_table(n)
+    n_bytes = message_bytes(n, turn.first, state.unicast.shape[1], p)
     for i in range(n):
         robot.send(robot_of(state, b, i), outbox_of(state, b, slot, i), contacts_of(scratch, i), turn, p)
     for k in range(scratch.indptr[n] if turn.writes else 0):
@@ -382,6 +378,17 @@ def send_messages(state, scratch, b, slot, turn, p):
         if unicast.sent:
             infos[i].bytes_sent += n_bytes
             robot.send_note(robot_of(state, b, i), outbox_of(state, b, slot, i), j)
+
+
+@kernel
+def message_bytes(n, first, slots, p):
+    """Bytes of the messages of a round to one robot; where all rounds of a tick have the same unicast part, of all."""
+    n_bytes = layout.BYTES_PER_MESSAGE * (1 if p.loss > 0.0 or slots > 1 else p.rounds)
+    if first:
+        n_bytes += bytes_per_beats(n)
+        if p.lambda2 == power_iteration.FLOODING:
+            n_bytes += bytes_per_table(n)
+    return n_bytes
 
 
 @stage

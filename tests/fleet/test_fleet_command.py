@@ -6,7 +6,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -14,6 +13,7 @@ import pytest
 from fovconn_env.fleet import make_hub
 from fovconn_env.flights.log import load_log
 from fovconn_env.flights.recording import load, replay
+from tests.helpers import wait_for
 
 FOVCONN = [sys.executable, "-m", "fovconn_env.training.cli"]
 TEAM = ["LeaderFollow-v0", "--set", "n_agents=3", "--set", "warmup=0.1", "--set", "course.legs=1"]
@@ -41,14 +41,6 @@ def robots(fleet):
             if b"robot" in words and int(status[1]) == fleet.pid:
                 found[words[words.index(b"robot") + 1].decode()] = int(entry.name)
     return found
-
-
-def wait_for(what):
-    until = time.monotonic() + LIMIT
-    while not (result := what()):
-        assert time.monotonic() < until
-        time.sleep(0.02)
-    return result
 
 
 def flying(fleet):

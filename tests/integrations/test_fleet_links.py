@@ -30,7 +30,7 @@ from fovconn_env.fleet.world import ABSENT, FLYING
 from fovconn_env.scenarios.presets import scenario
 from fovconn_env.scenarios.settings import Course, Radio
 from fovconn_env.sim.simulator import Simulator
-from tests.helpers import differing, snapshot
+from tests.helpers import differing, snapshot, wait_for
 
 zenoh = pytest.importorskip("zenoh", reason='zenoh is not installed: pip install "fovconn-env[zenoh]"')
 pytest.importorskip("cyclonedds", reason='cyclonedds is not installed: pip install "fovconn-env[dds]"')
@@ -83,14 +83,6 @@ def threads(hub, names):
     finally:
         for thread in flying:
             thread.join(LIMIT)
-
-
-def wait_for(what):
-    until = time.monotonic() + LIMIT
-    while not (result := what()):
-        assert time.monotonic() < until
-        time.sleep(0.02)
-    return result
 
 
 def assert_bits(fleet, base, seed=7, disturb=lambda: None):

@@ -26,7 +26,15 @@ from fovconn_env.flights.log import Logger, save_log
 from fovconn_env.flights.metrics import Meter
 from fovconn_env.flights.recording import outcome
 from fovconn_env.flights.rollout import Observer, steps
-from fovconn_env.training.commands.options import RecordFile, Replace, Settings, check_recording, parse
+from fovconn_env.training.commands.options import (
+    Foxglove,
+    FoxgloveAt,
+    RecordFile,
+    Replace,
+    Settings,
+    check_recording,
+    parse,
+)
 from fovconn_env.training.commands.screen import err, measures, out, progress
 from fovconn_env.training.evaluation import Evaluation
 
@@ -68,12 +76,8 @@ def command(
     dead_after: Annotated[float, typer.Option(help="In real time: s of silence until it is dead.", min=0.0)] = 3.0,
     recording_file: RecordFile = None,
     fresh: Replace = False,
-    live: Annotated[
-        bool, typer.Option("--foxglove", help=f"Show the flight in Foxglove, which connects to {ADDRESS}.")
-    ] = False,
-    address: Annotated[
-        str | None, typer.Option("--foxglove-at", metavar="HOST:PORT", help="The same at another address.")
-    ] = None,
+    live: Foxglove = False,
+    address: FoxgloveAt = None,
     ros: Annotated[
         bool,
         typer.Option("--ros", help="ROS 2 nodes hear the flight, and may fly robots. Always with dds."),

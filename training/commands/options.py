@@ -12,6 +12,7 @@ import typer
 from fovconn_env import PRESETS, Recording, Scenario, scenario
 from fovconn_env.baselines import ORACLES, POLICIES
 from fovconn_env.errors import SettingError
+from fovconn_env.fleet.ros.foxglove_server import ADDRESS
 from fovconn_env.flights.recording import load
 
 OUT = Path("out")
@@ -30,6 +31,10 @@ Fresh = Annotated[bool, typer.Option("--fresh", help="Fly all anew, also what th
 Replace = Annotated[bool, typer.Option("--fresh", help="Replace the file if there is one.")]
 RecordFile = Annotated[Path | None, typer.Option("--record", metavar="FILE", help="Record the flight here, as .npz.")]
 Force = Annotated[bool, typer.Option("--force", help="Go on where a recorded flight does not come out as it did.")]
+Foxglove = Annotated[bool, typer.Option("--foxglove", help=f"Show it live in Foxglove, which connects to {ADDRESS}.")]
+FoxgloveAt = Annotated[
+    str | None, typer.Option("--foxglove-at", metavar="HOST:PORT", help="The same at another address.")
+]
 JsonFile = Annotated[
     Path | None, typer.Option("--json", help="Write what the documentation shows of it here, too, as JSON.")
 ]

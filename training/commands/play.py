@@ -12,7 +12,16 @@ from fovconn_env.errors import SettingError, missing_package
 from fovconn_env.fleet.ros.foxglove_server import ADDRESS, FoxgloveServer
 from fovconn_env.fleet.ros.publisher import Publisher
 from fovconn_env.render.palette import THEMES
-from fovconn_env.training.commands.options import PolicyName, Replace, ScenarioName, Settings, check_recording, parse
+from fovconn_env.training.commands.options import (
+    Foxglove,
+    FoxgloveAt,
+    PolicyName,
+    Replace,
+    ScenarioName,
+    Settings,
+    check_recording,
+    parse,
+)
 from fovconn_env.training.commands.screen import err, say_written
 from fovconn_env.training.play.session import Session
 
@@ -31,12 +40,8 @@ def command(
     theme: Annotated[str, typer.Option(help="light or dark.")] = "light",
     size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the window, pixels.")] = "1280x720",
     fps: Annotated[int, typer.Option(help="Pictures a second, at most.", min=5, max=240)] = 60,
-    live: Annotated[
-        bool, typer.Option("--foxglove", help=f"Show the flights in Foxglove, too, which connects to {ADDRESS}.")
-    ] = False,
-    address: Annotated[
-        str | None, typer.Option("--foxglove-at", metavar="HOST:PORT", help="The same at another address.")
-    ] = None,
+    live: Foxglove = False,
+    address: FoxgloveAt = None,
     settings: Settings = None,
 ) -> None:
     """Fly the leader, or any other robot, yourself: in a window, with keyboard or gamepad. H shows the keys.

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fovconn_env import layout
 from fovconn_env.kernel import step
 from fovconn_env.kernel.jit import kernel, large_entry, stage
 from fovconn_env.kernel.maths import random
@@ -25,7 +24,6 @@ from fovconn_env.kernel.world.outcome import check_termination, write_infos, wri
 from fovconn_env.kernel.world.radio import draw_losses
 from fovconn_env.kernel.world.rangefinder import scan
 
-bytes_per_beats, bytes_per_table = kernel(layout.bytes_per_beats), kernel(layout.bytes_per_table)
 # what the world does between two exchanges with its robots
 BEGIN, TICK, DELIVER, COLLECT, LOOK, REPORT, COMPILE = range(7)
 
@@ -145,11 +143,7 @@ def deliver(state, b, slot, mail, p):
 def collect(state, scratch, b, slot, turn, sent, answered, p):
     """Put on the air what the robots have sent, nothing of others; the radio decides which of it will arrive."""
     n, episode, pairs, infos = state.body.shape[1], state.episode[b], state.pair[b], state.info[b]
-    n_bytes = layout.BYTES_PER_MESSAGE * (1 if p.loss > 0.0 or state.unicast.shape[1] > 1 else p.rounds)
-    if turn.first:
-        n_bytes += bytes_per_beats(n)
-        if p.lambda2 == power_iteration.FLOODING:
-            n_bytes += bytes_per_table(n)
+    n_bytes = step.message_bytes(n, turn.first, state.unicast.shape[1], p)
     for i in range(n):
         if not answered[i]:
             for j in range(n):
