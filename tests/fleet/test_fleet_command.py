@@ -1,6 +1,7 @@
 """`fovconn fleet` and `fovconn robot`, as processes."""
 
 import contextlib
+import functools
 import os
 import re
 import signal
@@ -23,7 +24,10 @@ LIMIT = 120  # s, for a busy machine
 @contextlib.contextmanager
 def started(*words):
     """A `fovconn fleet` with robots of its own."""
-    fleet = subprocess.Popen([*FOVCONN, "fleet", *TEAM, *words], stderr=subprocess.PIPE, text=True)
+    words = [*FOVCONN, "fleet", *TEAM, *words]
+    # in the background of a shell, where tests may run, Ctrl-C is ignored, and so it would be here
+    heard = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    fleet = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, preexec_fn=heard)
     try:
         yield fleet
     finally:

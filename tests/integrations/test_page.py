@@ -66,7 +66,7 @@ def test_lists_agree():
 
 
 def test_every_script_is_in_the_table_and_has_its_test():
-    found = {file.stem for file in EXAMPLES.glob("*.py")}
+    found = {file.stem for file in EXAMPLES.glob("*.py")} - {"ros_pilot"}  # of docs/fleet.md
     assert set(scripts().values()) == found
     tests = "".join(file.read_text() for file in Path(__file__).parent.glob("test_*.py"))
     assert {name for name in found if f'example("{name}")' in tests} == found

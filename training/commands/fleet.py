@@ -47,7 +47,7 @@ Policies = Annotated[
 
 
 def command(
-    scenario_name: Annotated[str, typer.Argument(metavar="SCENARIO", help="Scenario id, e.g. LeaderFollow-v0.")],
+    scenario_name: Annotated[str, typer.Argument(metavar="SCENARIO", help="Scenario id, as fovconn list has them.")],
     policies: Policies = None,
     clock: Annotated[
         Literal["lockstep", "real"], typer.Option(help="As the simulator, bit for bit; or in real time.")
