@@ -57,6 +57,19 @@ def test_punctual_robots_fly_as_in_the_simulator(fleet):
     assert kept[1:] == (0.0, 1.0, 0.0, 0.0, 0, 0)
 
 
+def test_a_second_flight_is_as_punctual(fleet):
+    fly(fleet, 25)
+    fleet.reset(8)
+    alone, pilot = Simulator(BASE), Expert(BASE)
+    alone.reset(8)
+    for _ in range(20):
+        actions = pilot.act(alone.observations)
+        assert np.array_equal(fleet.actions, actions)
+        fleet.step(fleet.actions.copy())
+        alone.step(actions)
+    assert np.array_equal(fleet.poses(), alone.poses())
+
+
 def test_messages_that_come_late_are_lost(fleet):
     """One whose answers take longer than a slot is heard by nobody, and flies on by its actions, which come late."""
     fly(fleet, 5)
