@@ -70,7 +70,7 @@ class MemoryHub:
         for name, robot in list(self.robots.items()):
             if name in self.frozen:
                 continue
-            while name not in self.ended and (data := robot.link.inbox and robot.link.receive(0.0)):
+            while name not in self.ended and robot.link.inbox and (data := robot.link.receive(0.0)) is not None:
                 if (end := robot.take(data)) is not None:
                     self.ended[name] = end
                     robot.link.close()
