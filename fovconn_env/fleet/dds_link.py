@@ -10,6 +10,7 @@ import random
 import socket
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -74,7 +75,7 @@ class Frame(IdlStruct):
         return cls(memoryview(b""))
 
 
-class Station:
+class Station(ABC):
     """What a process has in a domain: a participant, a reader, and links by the writers of the other ends."""
 
     domains: WeakValueDictionary[int, Domain] = WeakValueDictionary()  # of this process, which has one of a number
@@ -146,9 +147,9 @@ class Station:
         self.links |= {writer: self.meet(writer) for writer in here - self.links.keys()}
         return self.links.keys() - here
 
+    @abstractmethod
     def meet(self, writer: int) -> DdsLink | None:
         """The link to the process of a writer that has come, if it is wanted."""
-        raise NotImplementedError
 
     def close(self) -> None:
         """Leave the domain; all links end."""

@@ -70,7 +70,7 @@ class RealTimeFleet(FleetSimulator):
     # --------------------------------------------------------------------------------------------------- a step
     def _write_start(self, b: int, start: EpisodeStart, key: int) -> None:
         super()._write_start(b, start, key)
-        self._dead[:], self._acted_at[:], self._acted_number[:] = False, -np.inf, -1
+        self._dead[:], self._acted_at[:], self._acted_number[:] = self.phase == ABSENT, -np.inf, -1
         self._heard[:] = self._slot_end = self.now()
 
     def _run_worlds(self, actions: np.ndarray, mask: np.ndarray, warm_ticks: int, into: Results | None = None) -> None:

@@ -91,7 +91,7 @@ class FleetSimulator(Simulator):
         if not self.losses_end:
             losses = np.zeros((1, len(self.links)), records.FAULT)
             losses["robot"], losses["kind"] = np.arange(len(self.links)), FAULTS.index("robot")
-            losses["at"] = losses["until"] = np.inf
+            losses["at"], losses["until"] = np.where(self.phase == ABSENT, 0.0, np.inf), np.inf
             self.world = self.world._replace(fault=np.concatenate([self._faults, losses], axis=1))
 
     def _set_dead(self, i: int, dead: bool) -> None:

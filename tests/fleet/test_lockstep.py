@@ -142,3 +142,6 @@ def test_a_lost_robot_may_be_dead():
         assert np.array_equal(fleet.poses(), alone.poses())
         assert np.array_equal(np.delete(fleet.observations, 2, 1), np.delete(alone.observations, 2, 1))
     assert fleet.state.body["alive"].tolist() == [[True, True, False, True]]
+    fleet.reset(8)
+    fleet.step(fleet.actions.copy())
+    assert fleet.state.body["alive"].tolist() == [[True, True, False, True]]  # it has not come back

@@ -35,22 +35,27 @@ def fly(fleet, count):
         fleet.step(fleet.actions.copy())
 
 
-def link(fleet, name):
-    """The robot's end of its link."""
-    return fleet.gathering.hub.robots[name].link
-
-
-def test_punctual_robots_fly_as_in_the_simulator(fleet):
+def fly_as_the_simulator(fleet, seed, count):
+    """Fly on, from the beginning of this seed's flight, beside a simulator."""
     alone, pilot = Simulator(BASE), Expert(BASE)
-    alone.reset(7)
-    began = fleet.now()
-    for _ in range(40):
+    alone.reset(seed)
+    for _ in range(count):
         actions = pilot.act(alone.observations)
         assert np.array_equal(fleet.actions, actions)
         fleet.step(fleet.actions.copy())
         alone.step(actions)
         assert np.array_equal(fleet.poses(), alone.poses())
         assert np.array_equal(fleet.observations, alone.observations)
+
+
+def link(fleet, name):
+    """The robot's end of its link."""
+    return fleet.gathering.hub.robots[name].link
+
+
+def test_punctual_robots_fly_as_in_the_simulator(fleet):
+    began = fleet.now()
+    fly_as_the_simulator(fleet, 7, 40)
     assert fleet.now() - began == pytest.approx(40 * STEP)
     kept = fleet.punctuality()
     assert kept.real_time_factor == pytest.approx(1.0)
@@ -60,14 +65,18 @@ def test_punctual_robots_fly_as_in_the_simulator(fleet):
 def test_a_second_flight_is_as_punctual(fleet):
     fly(fleet, 25)
     fleet.reset(8)
-    alone, pilot = Simulator(BASE), Expert(BASE)
-    alone.reset(8)
-    for _ in range(20):
-        actions = pilot.act(alone.observations)
-        assert np.array_equal(fleet.actions, actions)
-        fleet.step(fleet.actions.copy())
-        alone.step(actions)
-    assert np.array_equal(fleet.poses(), alone.poses())
+    fly_as_the_simulator(fleet, 8, 20)
+
+
+def test_who_is_gone_before_a_flight_is_dead_in_it(fleet):
+    fleet.gathering.hub.kill("uav_1")
+    fly(fleet, 2)
+    fleet.reset(8)
+    fly(fleet, 1)
+    assert fleet.state.body["alive"][0].tolist() == [True, False, True, True]
+    fleet.gathering.hub.join("uav_1", Expert)
+    fly(fleet, 3)
+    assert fleet.state.body["alive"][0].all()
 
 
 def test_messages_that_come_late_are_lost(fleet):
