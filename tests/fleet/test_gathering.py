@@ -138,6 +138,31 @@ def test_hostile_frames_change_nothing():
     assert fleet.strangers.total() + dropped == len(sent)
 
 
+@pytest.mark.parametrize("kind, place", [(frames.SENT, 2), (frames.ACTED, 1)])
+def test_numbers_that_are_not_finite_are_dropped(kind, place):
+    """In frames with a right header, before the true ones: of a robot's motion, and of its action."""
+    fleet, quiet = (FleetSimulator(gathered(BASE, Expert)) for _ in range(2))
+    end = fleet.gathering.hub.robots["uav_1"].link
+    send, bad = end.send, []
+
+    def with_more(*parts, wait=True):
+        data = bytearray(b"".join(parts))
+        if data[5] == kind:
+            first = frames.HEADER + 8 * place
+            data[first : first + 8] = np.array(np.nan).tobytes()
+            bad.append(bytes(data))
+            send(bad[-1])
+        return send(*parts, wait=wait)
+
+    end.send = with_more
+    for each in (fleet, quiet):
+        each.reset(3)
+        each.step(each.actions.copy())
+    assert not differing(snapshot(fleet, 0), snapshot(quiet, 0))
+    assert bad
+    assert {text: n for text, n in fleet.strangers.items() if "not finite" in text}.popitem()[1] == len(bad)
+
+
 def disturb(hub, rng):
     """Every robot's link carries hostile frames, before those that are true, both ways; a list of them."""
     sent = []

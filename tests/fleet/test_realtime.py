@@ -164,6 +164,24 @@ def test_a_link_without_room_drops_frames(fleet):
     assert not fleet.strangers
 
 
+@pytest.mark.parametrize("steps_missed", [1, 12])
+def test_a_robot_counts_what_it_has_missed(fleet, steps_missed):
+    """A little is time that has passed, in which nobody was heard; after more than its memory it begins anew."""
+    fly(fleet, 40)
+    tracks = fleet.state.track[0, 0]
+    j = int(tracks["since"].argmax())
+    before = float(tracks["since"][j])
+    assert before > 1.0
+    end = link(fleet, "uav_0")
+    end.room = 0
+    fly(fleet, steps_missed)
+    end.room = math.inf
+    fly(fleet, 1)
+    passed = (steps_missed + 1) * STEP
+    forgets = steps_missed * STEP > BASE.radio.memory
+    assert tracks["since"][j] == pytest.approx(STEP if forgets else before + passed, abs=BASE.clock.tick + 1e-9)
+
+
 def test_the_world_does_not_chase_time_that_it_has_lost(fleet):
     fly(fleet, 5)
     hub = fleet.gathering.hub
