@@ -165,7 +165,9 @@ class OnBoard:
             tuple(bytes_of(part[slot : slot + 1]) for part in self._board[-6:-2]) for slot in range(self.layout.slots)
         ]
         self._code: Any = None
-        self._forget()  # compiles, too
+        self._forget()
+        # as of a dead robot: what has to be compiled, here and in the policy, is so before the world counts on it
+        self._act(np.zeros(scenario.observation_size, np.float32))
 
     def _make_board(self) -> Board:
         memory, n, air = self._acted["memory"], self.scenario.n_agents, state_arrays(self.scenario)
@@ -255,15 +257,18 @@ class OnBoard:
         stick = float(seen["stick_x"]), float(seen["stick_y"]), float(seen["stick_z"])
         number, leads, alive = frame.number, bool(seen["leads"]), bool(seen["alive"])
         self._acted["dropped"] = self._advance(number, 0, OBSERVE, 0.0, leads, stick, alive)
-        where = f"policy of {self.name} failed on {self.scenario.name} in step {self.steps}:"
-        with policy_code(where):
-            returned = self.policy.act(self._board.flat.copy(), self.name)
+        self._acted["action"] = self._act(self._board.flat.copy())
+        self.steps += 1
+
+    def _act(self, observation: np.ndarray) -> np.ndarray:
+        """The policy's action (4,) for an observation (D,); raises `PolicyError` and `SettingError`."""
+        with policy_code(f"policy of {self.name} failed on {self.scenario.name} in step {self.steps}:"):
+            returned = self.policy.act(observation, self.name)
         action = as_numbers(f"action of {self.name}", returned)
         if action.shape != (4,) or not np.isfinite(action).all():
             text = f"policy of {self.name} must return 4 finite numbers, got {action.tolist()} in step {self.steps}"
             raise SettingError(f"{text}: did it diverge?")
-        self._acted["action"] = action
-        self.steps += 1
+        return action
 
 
 def _of_one(shape: tuple[int, ...]) -> tuple[int, ...]:
