@@ -23,7 +23,7 @@ from fovconn_env.fleet.ros.dds_topics import DdsInbox, DdsSink
 from fovconn_env.fleet.ros.foxglove_server import ADDRESS, FoxgloveServer
 from fovconn_env.fleet.ros.publisher import Publisher
 from fovconn_env.flights.log import Logger, save_log
-from fovconn_env.flights.metrics import Meter
+from fovconn_env.flights.metrics import Meter, compile_ahead
 from fovconn_env.flights.recording import outcome
 from fovconn_env.flights.rollout import Observer, steps
 from fovconn_env.training.commands.options import (
@@ -102,6 +102,7 @@ def command(
     commands = {robot: [*program, robot, "--connect", hub.endpoint, "--policy", own[robot]] for robot in own}
     shown = FoxgloveServer(address or ADDRESS) if live or address is not None else nullcontext()
     with shown as server, Crew(commands, stdout=subprocess.DEVNULL) as crew, _ended(gathering) as world:
+        compile_ahead(find_policy(flown[base.agents[0]]), base)  # what measures the flight, too, while robots start
         _gather(gathering, crew, free)
         if clock == "real":
             fleet = RealTimeFleet(gathering, starts=base, hold=hold, dead_after=dead_after)
