@@ -50,6 +50,7 @@ EXTRAS = {
     "foxglove": "foxglove",
     "zenoh": "zenoh",
     "cyclonedds": "dds",
+    "ray": "cluster",
     **dict.fromkeys(("torch", "stable_baselines3", "tensorboard", "tqdm"), "learn"),
 }
 

@@ -193,7 +193,7 @@ def test_what_fails_in_another_process_is_told_with_its_place(problem, kind, wor
     with here, there:
         outcome, value = workers._run(there, fail, (), threading.Event())
     assert outcome == "failed"
-    told = workers._exception(*value)
+    told = workers.exception(*value)
     assert type(told) is kind
     assert words in str(told)
     assert "in fail" in str(told) + "".join(getattr(told, "__notes__", [])) or kind is SettingError

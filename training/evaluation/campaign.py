@@ -15,7 +15,7 @@ from fovconn_env.baselines import ORACLES, POLICIES, find_pilot
 from fovconn_env.errors import MachineError, SettingError, closest, rule
 from fovconn_env.flights.rollout import started
 from fovconn_env.sim.seeds import MAX_SEED
-from fovconn_env.sim.simulator import Simulator, available_cores
+from fovconn_env.sim.simulator import Simulator
 from fovconn_env.text import file_name
 from fovconn_env.training.evaluation.flights import Evaluation, Reused, fly, label, reuse_line
 from fovconn_env.training.evaluation.folders import claimed, sweep
@@ -46,6 +46,9 @@ SUITES = {
 }
 LATEST = {"hard": "hard-v1"}  # of what has versions
 LARGE, FEW = 24, 64  # robots of a team that flies a suite's first seeds alone, and how many
+
+
+Runner = Callable[..., None]  # as `run_orders`
 
 
 class Order(NamedTuple):
@@ -112,6 +115,7 @@ def fly_cells(
     fresh: bool = False,
     recordings: Path | None = None,
     processes: int | None = None,
+    run: Runner | None = None,
     progress: Callable[[float], None] | None = None,
     say: Callable[[str], None] = lambda line: None,
     complete: Callable[[list[Evaluation]], None] = lambda evaluations: None,
@@ -124,6 +128,7 @@ def fly_cells(
     POLICY@SCENARIO-SEED.npz. `progress` is told the number of episodes done, those found among them; `say` a line for
     what the user should know: episodes that are not reused and why, a process that died; `complete` gets the
     evaluations of a scenario as soon as there are all, while others are flown; `begin` runs while the processes start.
+    run: in the place of `run_orders`, which flies on this machine, one process a core unless told otherwise.
 
     Raises `SettingError` for two policies of one label, a folder that another process uses, and a policy that changes
     while it flies; what the policies raise; `OSError`; and `Interrupted` after Ctrl-C or another signal to end. All
@@ -167,8 +172,9 @@ def fly_cells(
 
         try:
             if orders:
-                n_processes = processes or available_cores()
-                _fly(orders, n_processes, keep, lambda n: progress and progress(n_kept + n), say, begin)
+                _fly(
+                    orders, processes, keep, lambda n: progress and progress(n_kept + n), say, begin, run or run_orders
+                )
         except Interrupted as signal:
             kept = sum(len(set(own[k]) & flown.times.keys()) for k, flown in enumerate(done) if flown is not None)
             where = f"are kept in {folder}" if folder else "were finished"
@@ -230,11 +236,12 @@ def _cost(scenario: Scenario) -> float:
 
 def _fly(
     orders: Sequence[Order],
-    processes: int,
+    processes: int | None,
     keep: Callable[[int, tuple[Evaluation, Files]], None],
     progress: Callable[[float], None],
     say: Callable[[str], None],
     begin: Callable[[], None],
+    run: Runner,
 ) -> None:
     """Fly the orders in processes; a process that dies is named."""
 
@@ -248,16 +255,16 @@ def _fly(
 
     told = {"keep": keep, "progress": progress, "died": died, "begin": begin}
     try:
-        run_orders(_fly_order, [tuple(order) for order in orders], processes, **told)
+        run(fly_order, [tuple(order) for order in orders], processes, **told)
     except Died as death:
         hint = 'out of memory perhaps, try fewer --processes; a script needs `if __name__ == "__main__":`'
-        raise MachineError(f"{name(death.order)}, ended twice with {death.how}: {hint}") from None
+        raise MachineError(f"{name(death.order)}, ended {death.times} with {death.how}: {hint}") from None
 
 
 _reads: Reads | None = None  # of a process that flies
 
 
-def _fly_order(watch: Watch, k: int, cell: Cell, seeds: list[int], recordings: Path | None) -> tuple[Evaluation, Files]:
+def fly_order(watch: Watch, k: int, cell: Cell, seeds: list[int], recordings: Path | None) -> tuple[Evaluation, Files]:
     """Fly a block in a process of its own; also tells what the policy came from."""
     global _reads
     _reads = _reads or Reads()

@@ -18,6 +18,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from fovconn_env.errors import FovconnError
+from fovconn_env.sim.simulator import available_cores
 from fovconn_env.training.evaluation.interruption import SIGNALS, Interrupted, noted_interruption
 
 Watch = Callable[[float], bool]  # told how much of an order is done; False from it breaks off
@@ -28,24 +29,24 @@ _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 class Died(Exception):
-    """A process died twice on the same order; `order` is its number, `how` the exit status or signal."""
+    """Processes died on the same order again and again; `order` is its number, `how` the exit status or signal."""
 
-    def __init__(self, order: int, how: str) -> None:
-        super().__init__(order, how)
-        self.order, self.how = order, how
+    def __init__(self, order: int, how: str, times: str = "twice") -> None:
+        super().__init__(order, how, times)
+        self.order, self.how, self.times = order, how, times
 
 
 def run_orders(
     work: Callable[..., Any],
     orders: Sequence[tuple],
-    processes: int,
+    processes: int | None,
     *,
     keep: Callable[[int, Any], None],
     progress: Callable[[float], None],
     died: Callable[[int, str], None],
     begin: Callable[[], None] = lambda: None,
 ) -> None:
-    """Run `work(watch, *order)` for every order in processes.
+    """Run `work(watch, *order)` for every order in processes, one a core by default.
 
     `keep` gets the number of each order and its result, also of those that an interruption or a failure breaks off;
     `progress` the sum of what `watch` was told. `begin` runs while the processes start. An order whose
@@ -55,7 +56,7 @@ def run_orders(
     waiting, deaths, counts = deque(range(len(orders))), Counter[int](), [0.0] * len(orders)
     problem: BaseException | None = None
     with contextlib.ExitStack() as stack:
-        pool = stack.enter_context(_Pool(work, min(processes, len(orders))))
+        pool = stack.enter_context(_Pool(work, min(processes or available_cores(), len(orders))))
         with noted_interruption() as early:  # which does not strike between a process and its place in the pool
             pool.fill()
         if early:
@@ -104,7 +105,7 @@ class _Worker:
         with contextlib.suppress(EOFError, OSError):  # a process that dies may do so in a message
             while self.connection.poll():
                 kind, value = self.connection.recv()
-                yield kind, _exception(*value) if kind == "failed" else value
+                yield kind, exception(*value) if kind == "failed" else value
             if not gone:
                 return
         self.process.join()
@@ -204,7 +205,20 @@ def _inherited() -> Iterator[None]:
             del os.environ[name]
 
 
-def _exception(data: bytes, text: str) -> BaseException:
+def failure(problem: BaseException) -> tuple[bytes, str]:
+    """An exception as it goes to another process, see `exception`; of a policy, it may even be that of sys.exit."""
+    text = "".join(traceback.format_exception(problem))
+    if not isinstance(problem, Exception):
+        problem = RuntimeError(f"{type(problem).__name__}: {problem}")
+    if not isinstance(problem, FovconnError):
+        problem.add_note(f"In another process:\n{text}")
+    try:
+        return pickle.dumps(problem), text
+    except Exception:  # it holds something that cannot be pickled
+        return b"", text
+
+
+def exception(data: bytes, text: str) -> BaseException:
     """An exception of another process; one that does not come through a pipe is told in words."""
     try:
         return pickle.loads(data)
@@ -260,12 +274,4 @@ def _run(connection: Connection, work: Callable[..., Any], order: tuple, stop: t
         tell()
         return "done", result
     except BaseException as problem:  # of a policy, which may even call sys.exit
-        text = "".join(traceback.format_exception(problem))
-        if not isinstance(problem, Exception):
-            problem = RuntimeError(f"{type(problem).__name__}: {problem}")
-        if not isinstance(problem, FovconnError):
-            problem.add_note(f"In another process:\n{text}")
-        try:
-            return "failed", (pickle.dumps(problem), text)
-        except Exception:  # it holds something that cannot be pickled
-            return "failed", (b"", text)
+        return "failed", failure(problem)
