@@ -6,7 +6,7 @@ A flight is flown once, however many want something of it: a recording, metrics,
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Protocol, runtime_checkable
+from typing import Protocol, cast
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.sim.simulator import Simulator
 
 
-@runtime_checkable
 class Policy(Protocol):
     """What flies a team by its observations: all that has `act`, `fovconn_env.baselines.Policy` for example."""
 
@@ -78,7 +77,7 @@ def rollout(
     ready = simulator or started(policy.equip(scenario), seeds, scenario)
     with policy_code(f"policy {name} cannot be made for {scenario.name}:"):
         pilot = policy(ready.scenario)
-    return steps(ready, lambda _: decide(pilot, ready), observers)
+    return steps(ready, lambda _: decide(pilot, ready), observers, checked=True)
 
 
 def started(equipped: Scenario, seeds: Sequence[int], rules: Scenario, n_threads: int | None = None) -> Simulator:
@@ -89,12 +88,18 @@ def started(equipped: Scenario, seeds: Sequence[int], rules: Scenario, n_threads
 
 
 def steps(
-    simulator: Simulator, act: Callable[[np.ndarray], np.ndarray], observers: Sequence[Observer] = ()
+    simulator: Simulator,
+    act: Callable[[np.ndarray], np.ndarray],
+    observers: Sequence[Observer] = (),
+    *,
+    checked: bool = False,
 ) -> Iterator[Simulator]:
     """Step a simulator that has been reset until all its episodes are over; yields it now and after every step.
 
     Between two steps the caller may push the stick or change who leads; `act` gets the observations after that.
+    checked: it returns what `Simulator.advance` takes.
     """
+    step = simulator.advance if checked else simulator.step
     for observer in observers:
         observer.begin(simulator)
     yield simulator
@@ -102,7 +107,7 @@ def steps(
         actions = act(simulator.observations)
         for observer in observers:
             observer.before_step(actions)
-        simulator.step(actions)
+        step(actions)
         for observer in observers:
             observer.update()
         yield simulator
@@ -114,8 +119,8 @@ def decide(policy: Policy | TeamOracle, simulator: Simulator) -> np.ndarray:
     A policy that is `memoryless` gets the observations of the other worlds alone.
     """
     observations, going = simulator.observations, ~simulator.over
-    shape = (*observations.shape[:2], 4)
-    fewer = getattr(policy, "memoryless", False) and not going.all()
+    shape, all_go = (*observations.shape[:2], 4), going.all()
+    fewer = not all_go and getattr(policy, "memoryless", False)
     if fewer:
         observations = observations[going]
     name, where = type(policy).__name__, simulator.scenario.name
@@ -124,13 +129,18 @@ def decide(policy: Policy | TeamOracle, simulator: Simulator) -> np.ndarray:
         return f"step {int(simulator.state.episode['step'].max())}"
 
     with policy_code(Later(lambda: f"policy {name} failed on {where} in {at()}:")):
-        returned = policy.act(observations) if isinstance(policy, Policy) else policy.decide(read_truth(simulator))
+        if (act := getattr(policy, "act", None)) is not None:
+            returned = act(observations)
+        else:
+            returned = cast("TeamOracle", policy).decide(read_truth(simulator))
     given = as_numbers(Later(lambda: f"actions of policy {name} on {where} in {at()}"), returned)
     wanted = (len(observations), *shape[1:])
     if given.shape != wanted:
         got = f"got {given.shape} on {where}, {at()}"
         raise SettingError(f"policy {name} must return actions of the shape {wanted}, {got}: (worlds, robots, columns)")
-    if fewer:
+    if all_go:
+        actions = given.copy() if given is returned else given
+    elif fewer:
         actions = np.zeros(shape)
         actions[going] = given
     else:

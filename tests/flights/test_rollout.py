@@ -77,8 +77,8 @@ def test_observers_are_told_of_every_step():
 
 def test_a_flight_is_flown_once_however_many_look_on(monkeypatch):
     made, flown = [], []
-    step, reset = Simulator.step, Simulator.reset
-    monkeypatch.setattr(Simulator, "step", lambda self, *a, **k: flown.append(self) or step(self, *a, **k))
+    advance, reset = Simulator.advance, Simulator.reset
+    monkeypatch.setattr(Simulator, "advance", lambda self, *a, **k: flown.append(self) or advance(self, *a, **k))
     monkeypatch.setattr(Simulator, "reset", lambda self, *a, **k: made.append(self) or reset(self, *a, **k))
     observers = [Meter(), Film(), Film(1), Recorder(world=1), Notes()]
     for _ in rollout(Plain, small(max_cycles=10, **OPEN), [1, 2], observers=observers):
