@@ -4,7 +4,6 @@ import gc
 import multiprocessing
 import os
 import sys
-from contextlib import contextmanager
 from multiprocessing import forkserver
 from pathlib import Path
 from types import SimpleNamespace
@@ -39,8 +38,8 @@ def pytest_collection_finish():
 
 
 @pytest.fixture(scope="session")
-def fork_server():
-    """A context in which processes that fly are forks of one that has loaded what they need, see warm.py."""
+def warm():
+    """What processes that fly are forks of has loaded the kernels, too, see warm.py."""
     from fovconn_env.training.evaluation import workers  # not at the top: nor have they scipy
 
     multiprocessing.set_forkserver_preload(["tests.warm"])
@@ -50,26 +49,11 @@ def fork_server():
         forkserver.ensure_running()
     os.chdir(before)
 
-    @contextmanager
-    def forks():
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(workers, "START", "forkserver")
-            yield
-
-    return forks
-
-
-@pytest.fixture
-def warm(fork_server):
-    """Processes that fly are forks, not new ones as a user's."""
-    with fork_server():
-        yield
-
 
 @pytest.fixture
 def undrawn(monkeypatch):
     """Evaluations leave numbers alone, as without matplotlib: half of the time of a test that reads nothing else."""
-    for module in ("draft", "results"):
+    for module in ("results", "draft"):  # the first imports from the second, what is still there to be put back
         monkeypatch.setattr(f"fovconn_env.training.evaluation.{module}.can_draw", lambda: False)
 
 
