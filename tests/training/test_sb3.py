@@ -197,6 +197,68 @@ def test_rows_of_several_scenarios():
         env.unwrapped.simulator  # noqa: B018
 
 
+DRAWN = ["LeaderFollow-v0", scenario("LossyRadio-v0", level=2), "TiltDynamics-v0"]
+
+
+def test_worlds_draw_what_they_fly():
+    """As a simulator of what was drawn flies from the same seed; what was drawn before goes on with its own rules."""
+    env = make_vec_env(DRAWN, 9, 5, weights=[1, 2, 1], monitor=False, **SHORT)
+    assert (env.num_envs, len(env.teams)) == (54, 1)
+    seen, flown = env.reset(), env.flown()
+    alone = [Simulator(scenario(one, **SHORT), 9, n_threads=1) for one in DRAWN]
+    for simulator in alone:
+        simulator.reset(5)
+    assert set(flown) == {0, 1, 2}
+    rng = np.random.default_rng(0)
+    for _ in range(6):
+        wanted = np.stack([simulator.observations for simulator in alone]).reshape(3, 54, -1)
+        np.testing.assert_array_equal(seen, wanted[flown, np.arange(54)])
+        actions = rng.uniform(-1, 1, (54, 4))
+        seen, rewards, _, _ = env.step(actions)
+        np.testing.assert_array_equal(env.flown(), flown)
+        for simulator in alone:
+            simulator.step(actions.reshape(9, 6, 4))
+        wanted = np.stack([simulator.rewards for simulator in alone]).reshape(3, 54).astype(np.float32)
+        np.testing.assert_array_equal(rewards, wanted[flown, np.arange(54)])
+    names = [scenario(one).name for one in DRAWN]
+    assert [one.name for one in env.get_attr("scenario")] == [names[k] for k in flown]
+    _, _, dones, infos = env.step(np.zeros((54, 4)))
+    assert dones.all()  # of seven steps; all drew again
+    assert (env.flown() != flown).any()
+    assert all("terminal_observation" in info for info in infos)
+    twin = make_vec_env(DRAWN, 9, 5, weights=[1, 2, 1], monitor=False, **SHORT)
+    twin.reset()
+    twin.step(rng.uniform(-1, 1, (54, 4)))
+    np.testing.assert_array_equal(twin.flown(), flown)
+
+
+def test_draws_follow_the_weights():
+    env = make_vec_env(DRAWN[:2], 40, 0, weights=[1, 3], monitor=False, n_agents=2, **{**SHORT, "max_cycles": 1})
+    env.reset()
+    drawn = []
+    for _ in range(30):
+        env.step(np.zeros((80, 4)))
+        drawn.append(env.flown()[::2])
+    assert np.mean(drawn) == pytest.approx(0.75, abs=0.05)  # 1200 draws: four deviations
+    env.set_weights([1, 0])
+    assert env.flown().any()  # those under way
+    env.step(np.zeros((80, 4)))
+    assert not env.flown().any()
+
+
+def test_team_sizes_share_the_worlds_and_scenarios_of_a_size_are_drawn():
+    env = make_vec_env([*DRAWN, "ScaleUp-v0"], 8, 0, weights=[1, 1, 1, 1], monitor=False, **SHORT)
+    assert [(team.n_agents, team.simulator.n_worlds) for team in env.teams] == [(6, 6), (3, 2)]
+    assert env.reset().shape == (42, 205)
+    assert (env.flown()[36:] == 3).all()
+    env.set_weights([0, 0, 1, 1])
+    with pytest.raises(
+        ValueError, match=r"weights must be at least 0 and not all 0, got \[0.0\]: shares of the resets"
+    ):
+        env.set_weights([1, 1, 1, 0])
+    assert make_vec_env(DRAWN, 2, weights=[1, 1, 1], state=True, **SHORT).reset()["state"].shape[0] == 12
+
+
 def test_scenarios_as_plain_data():
     data = {"name": "Mine-v0", "n_agents": 3, "camera": {"a_min": 0.5}}
     for base in (data, [data], [data, "ScaleUp-v0"]):
@@ -213,6 +275,11 @@ def test_scenarios_as_plain_data():
     ({"num_envs": 4}, "unexpected keyword argument 'num_envs': did you mean 'n_worlds'"),
     ({"n_agent": 4}, "unexpected keyword argument 'n_agent': did you mean 'n_agents'"),
     ({"render_mode": "ansi"}, "render_mode must be None or one of human, rgb_array"),
+    ({"base": DRAWN, "weights": [1, 2]}, r"weights must be 3 numbers, one a scenario, got \(2,\): shares of the re"),
+    ({"base": DRAWN, "weights": [1, -1, 1]}, r"weights must be at least 0 and not all 0, got \[1.0, -1.0, 1.0\]"),
+    ({"base": DRAWN, "weights": [1, np.nan, 1]}, r"weights must be at least 0 and not all 0, got \[1.0, nan, 1.0\]"),
+    ({"base": DRAWN, "weights": [1, 1, 1], "render_mode": "rgb_array"}, "render_mode must be None where worlds draw"),
+    ({"base": [*DRAWN, "ScaleUp-v0"], "weights": [1] * 4, "n_worlds": 1}, "n_worlds must be at least 2, got 1: each"),
 ])  # fmt: skip
 def test_rows_that_cannot_be(wrong, message):
     with pytest.raises(ValueError, match=message) as problem:

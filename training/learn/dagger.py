@@ -12,15 +12,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import torch
 
 from fovconn_env import Scenario
+from fovconn_env.baselines import Policy, find_policy
 from fovconn_env.baselines.learned.cards import BASES
 from fovconn_env.baselines.learned.inputs import ACTION
 from fovconn_env.bounds import check_numbers, fraction, positive, setting
 from fovconn_env.errors import rule
 from fovconn_env.fields import check_array
 from fovconn_env.training.learn.checkpoints import below, check_like
+from fovconn_env.training.learn.curriculum import Curriculum
 from fovconn_env.training.learn.learning import Algorithm
 from fovconn_env.training.learn.model import Network, actor, make_model, prepare
 from fovconn_env.training.learn.rows import Rows
@@ -40,6 +43,7 @@ class DaggerSettings:
     learning_rate: float = positive(1e-3, "at the start; falls to 1 % along a cosine")
     knee: float = positive(0.02, "error from which the loss grows linearly: small errors matter where V' is steep")
     mixed: float = fraction(0.15, "share of the training in which the law still flies, less and less")
+    frontier: float = fraction(0.0, "how far scenarios flown half of the time are preferred; 0: not at all")
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -57,14 +61,23 @@ class Dagger(Algorithm):
         seed: int = 0,
         settings: DaggerSettings | None = None,
         network: Network | None = None,
+        *,
+        weights: npt.ArrayLike | None = None,
+        teachers: Sequence[str] = (),
         n_threads: int | None = None,
     ) -> None:
+        """weights: as of `Rows`; teachers: a policy's name for each scenario, by default the law of the settings."""
         s, network = settings or DaggerSettings(), (network or Network()).deviating(-2.0)
-        self.rows = Rows(scenarios, s.n_worlds, n_threads=n_threads)
+        self.curriculum = Curriculum(weights, s.frontier, len(scenarios))
+        self.rows = Rows(scenarios, s.n_worlds, weights=self.curriculum.weights, n_threads=n_threads)
         self.rows.seed(seed)
         super().__init__(make_model(self.rows, network, seed), scenarios, seed, s, network)
         self.s = s
-        self.laws = [BASES[s.expert](scenario) for scenario in scenarios]
+        self.teachers = list(teachers) or [s.expert] * len(scenarios)
+        hint = "one a scenario"
+        rule(len(self.teachers) == len(scenarios), "teachers", f"{len(scenarios)} names", len(self.teachers), hint)
+        pairs = zip(self.teachers, scenarios, strict=True)
+        self.laws = [teacher(name)(scenario) for name, scenario in pairs]
         self.seen = np.zeros((s.capacity, self.rows.observations.shape[1]), np.float32)
         self.wanted = np.zeros((s.capacity, ACTION), np.float32)
         self.filled = 0
@@ -75,6 +88,7 @@ class Dagger(Algorithm):
     def iterate(self, share: float) -> dict[str, float]:
         """Fly, label, learn."""
         rng = self.generator()
+        self.curriculum.move(self.rows)
         self.fly(rng, beta=max(1.0 - share / max(self.s.mixed, 1e-9), 0.0))
         rate = self.s.learning_rate * (0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * share)))
         return {"loss": self.learn(rng, rate), "learning_rate": rate, "buffer": self.filled, **self.rows.outcomes()}
@@ -97,17 +111,18 @@ class Dagger(Algorithm):
 
     def labels(self) -> np.ndarray:
         """The law's actions for every row, in the network's units."""
-        parts = [law.decide(self.rows.flat(k)) / self.rows.gains[k] for k, law in enumerate(self.laws)]
-        return np.concatenate(parts)
+        wanted = np.zeros((self.rows.num_envs, ACTION), np.float32)
+        for k, rows in self.rows.parts:
+            wanted[rows] = self.laws[k].decide(self.rows.flat(rows)) / self.rows.gains[k]
+        return wanted
 
     def redraw(self, rng: np.random.Generator, ended: np.ndarray, beta: float) -> None:
         """Draw law or network for the worlds with a new episode; all robots of a world have the same pilot."""
-        for rows, scenario in zip(self.rows.slices, self.rows.scenarios, strict=True):
-            n = scenario.n_agents
-            new = ended[rows].reshape(-1, n)[:, 0]
+        for team in self.rows.teams:
+            new = ended[team.rows].reshape(-1, team.n_agents)[:, 0]
             if new.any():
                 drawn = rng.random(int(new.sum())) < beta
-                self.by_law[rows].reshape(-1, n)[new] = drawn[:, None]
+                self.by_law[team.rows].reshape(-1, team.n_agents)[new] = drawn[:, None]
 
     def store(self, rng: np.random.Generator, observations: np.ndarray, labels: np.ndarray) -> None:
         """Store rows in the buffer: at its end, or at random places when it is full."""
@@ -122,6 +137,11 @@ class Dagger(Algorithm):
     def learn(self, rng: np.random.Generator, rate: float) -> float:
         """n_updates of regression; the mean loss."""
         return regress(self.model.policy, self.seen, self.wanted, self.filled, rng, rate, self.s)
+
+    def recipe(self) -> dict:
+        """With what is drawn, and the teachers."""
+        others = {"teachers": self.teachers} if set(self.teachers) != {self.s.expert} else {}
+        return super().recipe() | self.curriculum.recipe() | others
 
     def pack(self) -> dict[str, np.ndarray]:
         """With buffer and worlds: about 0.4 GB when the buffer is full."""
@@ -140,6 +160,14 @@ class Dagger(Algorithm):
         self.rows.unpack(below(arrays, "rows"))
         self.filled, self.by_law = len(seen), arrays["by_law"]
         self.seen[: self.filled], self.wanted[: self.filled] = seen, wanted
+
+
+def teacher(name: str) -> type[Policy]:
+    """The class of a policy that can be imitated row by row; `SettingError` for one with a memory or own equipment."""
+    kind = find_policy(name)
+    rule(not kind.has_memory, "teacher", "a policy without a memory", name, "rows are labelled now and then")
+    rule(not kind.overrides, "teacher", "a policy that flies with any equipment", name, f"it needs {kind.overrides}")
+    return kind
 
 
 def regress(policy, seen, wanted, count, rng, rate, s) -> float:

@@ -17,11 +17,17 @@ from fovconn_env.errors import SettingError
 from fovconn_env.files import one_line
 from fovconn_env.training.evaluation.shelf import code_files
 
+LATER = {"frontier": 0.0}  # settings that checkpoints before 0.3 lack, and what they were
+
 
 def check_recipe(stored: Mapping[str, Any], current: Mapping[str, Any]) -> None:
     """Raise `SettingError` naming the first setting in which a resumed training differs from its checkpoint."""
     if all("type" not in scenario for scenario in stored["scenarios"]):
         current = {**current, "scenarios": as_in_version_0_1(current["scenarios"])}
+    settings = stored.get("settings")
+    if isinstance(settings, dict):
+        later = {name: value for name, value in LATER.items() if name in current["settings"]}
+        stored = {**stored, "settings": {**later, **settings}}
     for name, value in current.items():
         _check_same(name, stored.get(name), value, "resume with the same command, or train in another --out")
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import nn
 
@@ -24,6 +25,7 @@ from fovconn_env.baselines.learned.networks import Inputs
 from fovconn_env.baselines.learned.policy import load
 from fovconn_env.bounds import check_numbers, fraction, non_negative, positive
 from fovconn_env.training.learn.checkpoints import below, check_tensors
+from fovconn_env.training.learn.curriculum import Curriculum
 from fovconn_env.training.learn.learning import Algorithm
 from fovconn_env.training.learn.model import (
     PART,
@@ -61,6 +63,7 @@ class PPOSettings:
     anchor: float = non_negative(0.1, "with a start: weight of the divergence from it, falls to 0 linearly")
     anchored: float = fraction(0.5, "share of the training over which anchor falls")
     critic_first: float = fraction(0.05, "with a start: share of the training in which the critic learns alone")
+    frontier: float = fraction(0.0, "how far scenarios flown half of the time are preferred; 0: not at all")
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -96,12 +99,15 @@ class Team(Algorithm):
         *,
         start: Path | None = None,
         filtered: bool = False,
+        weights: npt.ArrayLike | None = None,
         n_threads: int | None = None,
     ) -> None:
         s = settings or PPOSettings()
+        self.curriculum = Curriculum(weights, s.frontier, len(scenarios))
         network = (network or Network()).deviating(-2.0 if start else -0.7)
         law = {"base": self.base, "bound": self.bound, "filtered": filtered}
-        self.rows = Rows(scenarios, s.n_worlds, reward=s.reward, n_threads=n_threads, **law)
+        drawn = self.curriculum.weights
+        self.rows = Rows(scenarios, s.n_worlds, reward=s.reward, weights=drawn, n_threads=n_threads, **law)
         sizes = {"n_steps": s.n_steps, "n_epochs": s.n_epochs, "batch_size": s.batch}
         self.rate = s.learning_rate * (s.warm if start else 1.0)
         others = {"gamma": s.gamma, "gae_lambda": s.lam, "learning_rate": self.rate}
@@ -117,6 +123,7 @@ class Team(Algorithm):
     def iterate(self, share: float) -> dict[str, float]:
         """Rollout, advantages, update."""
         rng = self.generator()
+        self.curriculum.move(self.rows)
         flown = self.fly()
         self.steps += self.s.n_steps * self.rows.num_envs
         self.model.num_timesteps = self.steps
@@ -206,7 +213,7 @@ class Team(Algorithm):
     def recipe(self) -> dict:
         """With start and filter."""
         sha256 = load(self.start)[0].sha256 if self.start else None
-        return super().recipe() | {"filtered": self.filtered, "start": sha256}
+        return super().recipe() | self.curriculum.recipe() | {"filtered": self.filtered, "start": sha256}
 
     def pack(self) -> dict[str, np.ndarray]:
         """With worlds and the policy of the start."""

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from gymnasium import spaces
 
 from fovconn_env import Scenario, Simulator
@@ -20,9 +21,12 @@ from fovconn_env.flights.state_hash import frozen_dtypes
 from fovconn_env.kernel.records import State
 from fovconn_env.training.learn.checkpoints import below, check_like, check_state, check_world, generators
 from fovconn_env.training.sb3 import EPISODE_KEYS, RobotsVecEnv
+from fovconn_env.training.sb3.mix import Mix, check_weights
+from fovconn_env.training.sb3.teams import Team
 
 FIRST_SEED = 50_000  # of training; seeds below choose checkpoints and evaluate
 SEEDS_APART = 4096  # between the first worlds of two training seeds
+RECENT = 0.05  # weight of an episode in the success of its scenario
 
 
 class Rows(RobotsVecEnv):
@@ -30,8 +34,8 @@ class Rows(RobotsVecEnv):
 
     Actions are in units of `inputs.gain`: the same number is the same velocity in every scenario. With a base law, its
     actions are columns more of an observation, and an action is a correction of at most `bound` (`correct_actions`).
-    `filtered` puts the barrier on lambda2 on what is flown; rewards are multiplied by `reward`. An episode that ends
-    leaves its outcome in `ended`.
+    `filtered` puts the barrier on lambda2 on what is flown; rewards are multiplied by `reward`; with `weights`, worlds
+    draw what they fly. An episode that ends leaves its outcome in `ended`.
     """
 
     def __init__(
@@ -43,12 +47,13 @@ class Rows(RobotsVecEnv):
         bound: float = 0.0,
         filtered: bool = False,
         reward: float = 1.0,
+        weights: npt.ArrayLike | None = None,
         n_threads: int | None = None,
     ) -> None:
         rule(base is None or base in BASES, "base", f"one of {', '.join(BASES)}", base, "a law without a memory")
         for scenario in scenarios:
             check_named(scenario)
-        super().__init__(scenarios, n_worlds, n_threads=n_threads)
+        super().__init__(scenarios, n_worlds, weights=weights, n_threads=n_threads)
         self.gains = [gain(scenario) for scenario in scenarios]
         self.reward, self.bound, self.extra = reward, bound, ACTION if base else 0
         self._bases = [BASES[base](scenario) for scenario in scenarios] if base else []
@@ -66,6 +71,8 @@ class Rows(RobotsVecEnv):
         self.action_space = spaces.Box(-reach, reach, (ACTION,))
         self.observations = np.zeros((n_rows, len(low)), np.float32)  # the last ones; a step makes a new array
         self._return, self._length = np.zeros(n_rows), np.zeros(n_rows, np.int64)
+        self.success = np.full(len(self.scenarios), 0.5)  # of the last episodes of each scenario, about 1 / RECENT
+        self.parts = self._parts()
 
     def seed(self, seed: Any = None) -> Sequence[int | None]:
         """Training seed of the resets that follow: no two of them, and no evaluation, share a world."""
@@ -75,15 +82,29 @@ class Rows(RobotsVecEnv):
     def reset(self) -> np.ndarray:
         """Start all worlds and return the observations (R, D + extra)."""
         self.seed(self._seed)
-        self.observations = self._extended(super().reset())
+        flat = super().reset()
+        self.parts = self._parts()
+        self.observations = self._extended(flat)
         self._return[:], self._length[:] = 0.0, 0
         self.ended.clear()
         return self.observations
 
-    def flat(self, k: int) -> np.ndarray:
-        """The observations of scenario k as the environment gave them, (R_k, D)."""
+    def flat(self, rows: slice | np.ndarray) -> np.ndarray:
+        """The observations of some rows as the environment gave them, (R_k, D)."""
         width = self.observations.shape[1] - self.extra
-        return np.ascontiguousarray(self.observations[self.slices[k], :width])
+        return np.ascontiguousarray(self.observations[rows, :width])
+
+    def _parts(self) -> list[tuple[int, slice | np.ndarray]]:
+        """The number of each scenario that is flown now, and the rows that fly it."""
+        parts: list[tuple[int, slice | np.ndarray]] = []
+        flown = self.flown()
+        for team in self.teams:
+            if len(team.numbers) == 1:
+                parts.append((team.numbers[0], team.rows))
+                continue
+            drawn = [(k, np.flatnonzero(flown == k)) for k in team.numbers]
+            parts += [(k, rows) for k, rows in drawn if len(rows)]
+        return parts
 
     def step_async(self, actions: np.ndarray) -> None:
         """Store the actions (R, 4), in a network's units, for `step_wait`."""
@@ -91,17 +112,25 @@ class Rows(RobotsVecEnv):
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """Step; observations, rewards, dones and infos of all rows. Raises `ValueError` for NaN."""
-        super().step_async(np.concatenate([self._flown(k) for k in range(len(self.teams))]))
+        actions, parts = np.zeros((self.num_envs, ACTION)), self.parts
+        for k, rows in parts:
+            actions[rows] = self._flown(k, rows)
+        super().step_async(actions)
         flat, rewards, dones, infos = super().step_wait()
+        if dones.any():
+            self.parts = self._parts()
         self.observations = self._extended(flat)
-        for k, rows in enumerate(self.slices):
-            ended = rows.start + np.flatnonzero(dones[rows])
+        for k, rows in parts:
+            ended = np.arange(self.num_envs)[rows][dones[rows]]
             if self._bases and len(ended):
                 last = self._with_base(k, np.stack([infos[row]["terminal_observation"] for row in ended]))
                 for row, observation in zip(ended.tolist(), last, strict=True):
                     infos[row]["terminal_observation"] = observation
         self._return += rewards
         self._length += 1
+        for k, rows in parts:
+            for row in np.arange(self.num_envs)[rows][dones[rows]][:: self.scenarios[k].n_agents].tolist():
+                self.success[k] += RECENT * (infos[row]["success"] - self.success[k])
         for row in np.flatnonzero(dones).tolist():
             outcome = {key: infos[row][key] for key in EPISODE_KEYS}
             outcome |= {"return": float(self._return[row]), "length": float(self._length[row])}
@@ -119,43 +148,80 @@ class Rows(RobotsVecEnv):
 
     def pack(self) -> dict[str, np.ndarray]:
         """The state from which `unpack` continues with the same bits."""
-        arrays = {"observations": self.observations, "return": self._return, "length": self._length}
+        arrays = {name: array.copy() for name, array in self._kept().items()}
         for k, team in enumerate(self.teams):
             arrays |= {f"{k}/split": self._split[team.worlds], f"{k}/seed": np.array(self._seed)}
-            arrays |= {f"{k}/{name}": array for name, array in pack_simulator(team.simulator).items()}
+            arrays |= {f"{k}/{name}": array for name, array in pack_team(team).items()}
         return arrays
 
     def unpack(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Restore the state of `pack`. Raises `SettingError` for what is of other worlds, or of none."""
-        for name, mine in (("observations", self.observations), ("return", self._return), ("length", self._length)):
+        for name, mine in self._kept().items():
             check_like(f"rows/{name}", arrays.get(name), mine)
             mine[:] = arrays[name]
         for k, team in enumerate(self.teams):
             own, split = below(arrays, f"{k}"), self._split[team.worlds]
             check_like(f"rows/{k}/split", own.get("split"), split)
             split[:] = own["split"]
-            unpack_simulator(team.simulator, own)
+            unpack_team(team, own)
+        self.parts = self._parts()
         self.ended.clear()
+
+    def _kept(self) -> dict[str, np.ndarray]:
+        """What goes on from step to step beside the simulators."""
+        kept = {"observations": self.observations, "return": self._return, "length": self._length}
+        return kept | ({"success": self.success} if self.drawn else {})
 
     def _extended(self, flat: np.ndarray) -> np.ndarray:
         """Observations of all rows, (R, D), with the actions of their base laws."""
         if not self._bases:
             return flat
-        return np.concatenate([self._with_base(k, flat[rows]) for k, rows in enumerate(self.slices)])
+        extended = np.zeros(self.observations.shape, np.float32)
+        for k, rows in self.parts:
+            extended[rows] = self._with_base(k, flat[rows])
+        return extended
 
     def _with_base(self, k: int, flat: np.ndarray) -> np.ndarray:
         """Observations of scenario k with the actions of its base law."""
         return np.concatenate([flat, self._bases[k].decide(flat) / self.gains[k]], axis=1, dtype=np.float32)
 
-    def _flown(self, k: int) -> np.ndarray:
-        """Shares that the robots of scenario k fly."""
-        outputs, unit = self._outputs[self.slices[k]], self.gains[k]
+    def _flown(self, k: int, rows: slice | np.ndarray) -> np.ndarray:
+        """Shares that the robots of these rows, of scenario k, fly."""
+        outputs, unit = self._outputs[rows], self.gains[k]
         if self._bases:
-            base = self.observations[self.slices[k], -ACTION:] * unit
-            actions = correct_actions(self.observations[self.slices[k]], base, outputs, unit, self.bound)
+            base = self.observations[rows, -ACTION:] * unit
+            actions = correct_actions(self.observations[rows], base, outputs, unit, self.bound)
         else:
             actions = np.clip(outputs * unit, -1.0, 1.0)
-        return self._filters[k](self.flat(k), actions) if self._filters else actions
+        return self._filters[k](self.flat(rows), actions) if self._filters else actions
+
+
+def pack_team(team: Team) -> dict[str, np.ndarray]:
+    """Its simulators as arrays; of worlds that draw also what they fly, the weights, and the state of the draws."""
+    mix = team.simulator
+    if not isinstance(mix, Mix):
+        return pack_simulator(mix)
+    arrays = {"flown": mix.flown, "weights": mix.weights, "draws": generator_states(mix.generators)}
+    for v, simulator in enumerate(mix.simulators):
+        arrays |= {f"{v}/{name}": array for name, array in pack_simulator(simulator).items()}
+    return arrays
+
+
+def unpack_team(team: Team, arrays: Mapping[str, np.ndarray]) -> None:
+    """Restore the state of `pack_team`. Raises `SettingError` for what is of other worlds."""
+    mix = team.simulator
+    if not isinstance(mix, Mix):
+        unpack_simulator(mix, arrays)
+        return
+    check_like("flown", arrays.get("flown"), mix.flown)
+    known = bool((arrays["flown"] >= 0).all() and (arrays["flown"] < len(mix.simulators)).all())
+    rule(known, "flown", f"of {len(mix.simulators)} scenarios", arrays["flown"].tolist(), "made by other settings")
+    check_like("weights", arrays.get("weights"), mix.weights)
+    mix.weights = check_weights(arrays["weights"], len(mix.simulators))
+    mix.generators[:] = generators(arrays.get("draws"), mix.n_worlds)
+    mix.flown[:] = arrays["flown"]
+    for v, simulator in enumerate(mix.simulators):
+        unpack_simulator(simulator, below(arrays, str(v)))
 
 
 def pack_simulator(simulator: Simulator) -> dict[str, np.ndarray]:
@@ -164,8 +230,12 @@ def pack_simulator(simulator: Simulator) -> dict[str, np.ndarray]:
     for name, array in simulator.state.arrays().items():
         arrays[f"state/{name}"] = np.zeros(array.shape, array.dtype)
         _copy_fields(arrays[f"state/{name}"], array)
-    states = [json.dumps(rng.bit_generator.state) if rng else "" for rng in simulator.generators]
-    return arrays | {"generators": np.array(states)}
+    return arrays | {"generators": generator_states(simulator.generators)}
+
+
+def generator_states(given: Sequence[np.random.Generator | None]) -> np.ndarray:
+    """The states of generators as JSON, "" for none; `checkpoints.generators` reads them."""
+    return np.array([json.dumps(rng.bit_generator.state) if rng else "" for rng in given])
 
 
 def unpack_simulator(simulator: Simulator, arrays: Mapping[str, np.ndarray]) -> None:

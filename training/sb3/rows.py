@@ -7,6 +7,7 @@ from typing import Any, Unpack
 
 import gymnasium
 import numpy as np
+import numpy.typing as npt
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
@@ -17,6 +18,7 @@ from fovconn_env.envs.world import World, set_shared, worlds_of
 from fovconn_env.errors import SettingError, as_numbers, rule
 from fovconn_env.scenarios.keywords import Part, Settings, check_keywords
 from fovconn_env.sim.seeds import Seed, world_seeds
+from fovconn_env.training.sb3.mix import Mix, check_weights
 from fovconn_env.training.sb3.teams import (
     EPISODE_KEYS,
     Team,
@@ -32,6 +34,8 @@ from fovconn_env.training.sb3.teams import (
 class RobotsVecEnv(VecEnv):
     """B worlds of one scenario, or shared out among several, as rows: a row a robot, world after world.
 
+    With `weights`, one a scenario, the worlds are shared out among team sizes, and a world draws which scenario of its
+    size it flies whenever it is reset, see `Mix`; `set_weights` changes them.
     Worlds that end are reset at once. Observations (R, D) float32, or with `state=True` a `Dict` of "observation" and
     the world's privileged "state" for centralised critics. infos follow SB3: `terminal_observation`,
     `TimeLimit.truncated` and `is_success` at an end, and `EPISODE_KEYS` of the episode that ended: shares from 0 to 1
@@ -45,19 +49,24 @@ class RobotsVecEnv(VecEnv):
         n_worlds: int,
         *,
         state: bool = False,
+        weights: npt.ArrayLike | None = None,
         render_mode: str | None = None,
         n_threads: int | None = None,
     ) -> None:
         self.scenarios, self.with_state, self.render_mode = list(scenarios), state, render_mode
-        check_scenarios(self.scenarios, n_worlds, same_team=state, same_clock=render_mode is not None)
-        self.teams = make_teams(self.scenarios, n_worlds, render_mode, n_threads)
+        self.drawn, same_clock = weights is not None, render_mode is not None
+        check_scenarios(self.scenarios, n_worlds, same_team=state, same_clock=same_clock, drawn=self.drawn)
+        probable = None if weights is None else check_weights(weights, len(self.scenarios))
+        hint = "a picture is of one scenario"
+        rule(weights is None or render_mode is None, "render_mode", "None where worlds draw", render_mode, hint)
+        self.teams = make_teams(self.scenarios, n_worlds, render_mode, n_threads, probable)
         self.slices = [team.rows for team in self.teams]
         n_rows, action = self.slices[-1].stop, spaces.Box(-1.0, 1.0, (len(layout.ACTION),))
         self._actions = np.zeros((n_rows, len(layout.ACTION)))
         self._split = np.zeros(n_worlds, bool)  # not connected at some step of the episode
         space = observation_space(self.teams, state)
-        lists = [(team, worlds_of(team.simulator, team.viewer, space, action)) for team in self.teams]
-        self._worlds: list[World] = [world for team, all_ in lists for world in all_ for _ in range(team.n_agents)]
+        each = [(k, s, team.viewer) for team in self.teams for k, s in zip(team.numbers, team.simulators, strict=True)]
+        self._worlds = {k: worlds_of(simulator, viewer, space, action) for k, simulator, viewer in each}
         super().__init__(n_rows, space, action)
         self.metadata = {**self.metadata, "render_fps": frame_rate(self.scenarios[0])}
 
@@ -69,7 +78,7 @@ class RobotsVecEnv(VecEnv):
     @property
     def simulator(self) -> Simulator:
         """The simulator, if there is one scenario; see `teams`."""
-        return self._only([team.simulator for team in self.teams])
+        return self._only([simulator for team in self.teams for simulator in team.simulators])
 
     def seed(self, seed: Seed = None) -> Sequence[int | None]:
         """Seeds of the next reset: world b gets seed + b, or seed[b]. The seed of each row's world."""
@@ -124,7 +133,7 @@ class RobotsVecEnv(VecEnv):
             simulator, actions = team.simulator, self._actions[team.rows]
             simulator.step(actions.reshape(simulator.n_worlds, team.n_agents, -1))
             rewards[team.rows], dones[team.rows] = simulator.rewards.ravel(), np.repeat(simulator.over, team.n_agents)
-            self._split[team.worlds] |= simulator.infos["connected"][:, 0] == 0.0
+            self._split[team.worlds] |= ~team.connected()
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if dones.any():
             last = observations(self.teams, self.with_state)
@@ -146,16 +155,16 @@ class RobotsVecEnv(VecEnv):
     # ------------------------------------------------------------------------------------------------ by name, by row
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """The attribute of each row's world. Raises `AttributeError` where a `World` has none of this name."""
-        return [getattr(self._worlds[row], attr_name) for row in self._rows(indices)]
+        return [getattr(world, attr_name) for world in self._worlds_of(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Set "max_cycles" (from the next reset on) or "leader" in all worlds of a scenario; else `SettingError`."""
-        worlds = [self._worlds[row] for row in self._rows(indices)]
+        worlds = self._worlds_of(indices)
         set_shared(worlds, attr_name, [value] * len(worlds))
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
         """Call a method of each row's world, once a world: the answer for each row. `AttributeError` as `get_attr`."""
-        rows = [self._worlds[row] for row in self._rows(indices)]
+        rows = self._worlds_of(indices)
         methods = {id(world): getattr(world, method_name) for world in rows}
         answers = {key: method(*method_args, **method_kwargs) for key, method in methods.items()}
         return [answers[id(world)] for world in rows]
@@ -164,10 +173,27 @@ class RobotsVecEnv(VecEnv):
         """Rows are never wrapped one by one."""
         return [False for _ in self._rows(indices)]
 
+    # ------------------------------------------------------------------------------------------- what is flown
+    def flown(self) -> np.ndarray:
+        """The number of the scenario that each row flies, (R,)."""
+        return np.concatenate([np.repeat(team.flown, team.n_agents) for team in self.teams])
+
+    def set_weights(self, weights: npt.ArrayLike) -> None:
+        """Change how probable the scenarios are, from the next resets on; among those of one team size.
+
+        Raises `SettingError` for other than one number a scenario, and where no scenario of a size is left.
+        """
+        values = check_weights(weights, len(self.scenarios))
+        for team in self.teams:
+            check_weights(values[list(team.numbers)], len(team.numbers))
+        for team in self.teams:
+            if isinstance(team.simulator, Mix):
+                team.simulator.weights = values[list(team.numbers)]
+
     # ---------------------------------------------------------------------------------------------------- pictures
     def get_images(self) -> Sequence[np.ndarray | None]:
         """A picture of each world (not of each row) in the mode "rgb_array"; `render` puts them side by side."""
-        return [picture for team in self.teams for picture in team.viewer.draw_all(team.simulator) or ()]
+        return [picture for team in self.teams for picture in team.viewer.draw_all(team.simulators[0]) or ()]
 
     def render(self, mode: str | None = None) -> np.ndarray | None:
         """The pictures of all worlds side by side; in the mode "human" the first world in a window."""
@@ -189,6 +215,12 @@ class RobotsVecEnv(VecEnv):
             rule(inside, "indices", f"rows in 0..{self.num_envs - 1}", row, "robot i of world b is row b N + i")
         return list(rows)
 
+    def _worlds_of(self, indices: Any) -> list[World]:
+        """The world of each row, with the scenario that it flies."""
+        flown = self.flown()
+        places = np.concatenate([np.arange(team.n_rows) // team.n_agents for team in self.teams])
+        return [self._worlds[int(flown[row])][places[row]] for row in self._rows(indices)]
+
     def _only(self, values: Sequence[Any]) -> Any:
         rule(len(values) == 1, "scenarios", "one for this attribute", len(values), "see scenarios and teams")
         return values[0]
@@ -198,7 +230,7 @@ class RobotsVecEnv(VecEnv):
         return f"RobotsVecEnv({names}, n_worlds={len(self._split)}, num_envs={self.num_envs})"
 
     def _show(self) -> None:
-        self.teams[0].viewer.show(self.teams[0].simulator)
+        self.teams[0].viewer.show(self.teams[0].simulators[0])
 
     def _check_open(self) -> None:
         if self.teams[0].simulator.closed:
@@ -218,6 +250,7 @@ def make_vec_env(
     seed: Seed = None,
     *,
     state: bool = False,
+    weights: npt.ArrayLike | None = None,
     monitor: bool = True,
     render_mode: str | None = None,
     n_threads: int | None = None,
@@ -226,12 +259,15 @@ def make_vec_env(
     """An SB3 `VecEnv` of `n_worlds` x N rows, seeded, within a `VecMonitor` unless told otherwise.
 
     Takes a scenario, its id or a `Scenario`, or a list of them, among which the worlds are shared out, and settings to
-    change. state adds the privileged state for a critic: see `AsymmetricPolicy`.
+    change. state adds the privileged state for a critic: see `AsymmetricPolicy`. weights, one a scenario of the list:
+    worlds draw the scenario that they fly next, see `RobotsVecEnv`.
     """
-    check_keywords("make_vec_env", settings, ("n_worlds", "seed", "state", "monitor", "render_mode", "n_threads"))
+    own = ("n_worlds", "seed", "state", "weights", "monitor", "render_mode", "n_threads")
+    check_keywords("make_vec_env", settings, own)
     chosen = [base] if isinstance(base, (str, Scenario, Mapping)) else base
     scenarios = [scenario(one, **settings) for one in chosen]
-    env = RobotsVecEnv(scenarios, n_worlds, state=state, render_mode=render_mode, n_threads=n_threads)
+    options = {"state": state, "weights": weights, "render_mode": render_mode, "n_threads": n_threads}
+    env = RobotsVecEnv(scenarios, n_worlds, **options)
     env.seed(seed)
     return Monitor(env, info_keywords=EPISODE_KEYS) if monitor else env
 

@@ -12,17 +12,19 @@ from gymnasium import spaces
 from fovconn_env import Scenario, Simulator
 from fovconn_env.envs.viewer import Viewer, frame_rate
 from fovconn_env.errors import check_count, rule
+from fovconn_env.training.sb3.mix import Mix
 
 EPISODE_KEYS = ("success", "connected", "collision")  # reach VecMonitor's episode infos, see `EpisodeLog`
 
 
 class Team(NamedTuple):
-    """The worlds of one scenario among the rows."""
+    """The worlds of one scenario among the rows, or of several of one team size that they draw from."""
 
-    simulator: Simulator
+    simulator: Simulator | Mix
     viewer: Viewer
     rows: slice
     worlds: slice
+    numbers: tuple[int, ...]  # of its scenarios among all
 
     @property
     def n_agents(self) -> int:
@@ -34,13 +36,39 @@ class Team(NamedTuple):
         """Rows of all worlds."""
         return self.rows.stop - self.rows.start
 
+    @property
+    def simulators(self) -> list[Simulator]:
+        """One for each of its scenarios."""
+        return self.simulator.simulators if isinstance(self.simulator, Mix) else [self.simulator]
 
-def check_scenarios(scenarios: Sequence[Scenario], n_worlds: int, *, same_team: bool, same_clock: bool) -> None:
+    def simulator_of(self, b: int) -> Simulator:
+        """In which world b of the team flies."""
+        return self.simulator.of(b) if isinstance(self.simulator, Mix) else self.simulator
+
+    @property
+    def flown(self) -> np.ndarray:
+        """The number of the scenario that each world flies, among all, (B,)."""
+        numbers = np.array(self.numbers)
+        if isinstance(self.simulator, Mix):
+            return numbers[self.simulator.flown]
+        return np.repeat(numbers, self.simulator.n_worlds)
+
+    def connected(self) -> np.ndarray:
+        """(B,) bool: the worlds that were connected in the last step."""
+        if isinstance(self.simulator, Mix):
+            return self.simulator.connected
+        return self.simulator.infos["connected"][:, 0] != 0.0
+
+
+def check_scenarios(
+    scenarios: Sequence[Scenario], n_worlds: int, *, same_team: bool, same_clock: bool, drawn: bool
+) -> None:
     """`SettingError` unless so many worlds of these scenarios can be rows for one network."""
     check_count("n_worlds", n_worlds, "a batch holds worlds")
     count = len(scenarios)
     rule(count >= 1, "scenarios", "one at least", scenarios, "an id, a Scenario, or a list of them")
-    rule(n_worlds >= count, "n_worlds", f"at least {count}", n_worlds, "each scenario needs a world")
+    least, what = (len({one.n_agents for one in scenarios}), "team size") if drawn else (count, "scenario")
+    rule(n_worlds >= least, "n_worlds", f"at least {least}", n_worlds, f"each {what} needs a world")
     sizes = {one.observation_size: one.name for one in scenarios}
     hint = f"one network for {', '.join(sizes.values())} needs one max_neighbors and max_ranges"
     rule(len(sizes) == 1, "observation_size", "the same in all scenarios", list(sizes), hint)
@@ -53,16 +81,38 @@ def check_scenarios(scenarios: Sequence[Scenario], n_worlds: int, *, same_team: 
 
 
 def make_teams(
-    scenarios: Sequence[Scenario], n_worlds: int, render_mode: str | None, n_threads: int | None
+    scenarios: Sequence[Scenario],
+    n_worlds: int,
+    render_mode: str | None,
+    n_threads: int | None,
+    weights: np.ndarray | None = None,
 ) -> list[Team]:
-    """The worlds shared out among the scenarios, row after row."""
-    count = len(scenarios)
-    shares = [n_worlds // count + (k < n_worlds % count) for k in range(count)]
-    simulators = [Simulator(s, n, n_threads=n_threads) for s, n in zip(scenarios, shares, strict=True)]
-    sizes = shares, [s.n_worlds * s.scenario.n_agents for s in simulators]
+    """The worlds shared out among the scenarios, row after row; with weights (V,) among team sizes, see `Mix`."""
+    if weights is None:
+        parts, wanted = [(k,) for k in range(len(scenarios))], np.ones(len(scenarios))
+    else:
+        sizes_of = [scenario.n_agents for scenario in scenarios]
+        parts = [tuple(k for k, n in enumerate(sizes_of) if n == size) for size in dict.fromkeys(sizes_of)]
+        wanted = np.array([weights[list(part)].sum() for part in parts])
+    simulators: list[Simulator | Mix] = []
+    for part, count in zip(parts, share_out(n_worlds, wanted), strict=True):
+        chosen = [scenarios[k] for k in part]
+        if weights is not None and len(part) > 1:
+            simulators.append(Mix(chosen, count, weights[list(part)], n_threads))
+        else:
+            simulators.append(Simulator(chosen[0], count, n_threads=n_threads))
+    sizes = [s.n_worlds for s in simulators], [s.n_worlds * s.scenario.n_agents for s in simulators]
     worlds, rows = ([slice(*edge) for edge in itertools.pairwise([0, *itertools.accumulate(size)])] for size in sizes)
     viewers = [Viewer(render_mode) for _ in simulators]
-    return [Team(*parts) for parts in zip(simulators, viewers, rows, worlds, strict=True)]
+    return [Team(*each) for each in zip(simulators, viewers, rows, worlds, parts, strict=True)]
+
+
+def share_out(n_worlds: int, wanted: np.ndarray) -> list[int]:
+    """Worlds of each part, in proportion to what is wanted, but one at least; the first of equal ones get the rest."""
+    shares = np.ones(len(wanted), np.int64)
+    for _ in range(n_worlds - len(wanted)):
+        shares[np.argmax(n_worlds * wanted / wanted.sum() - shares)] += 1
+    return shares.tolist()
 
 
 def observation_space(teams: Sequence[Team], with_state: bool) -> spaces.Space:
@@ -72,10 +122,11 @@ def observation_space(teams: Sequence[Team], with_state: bool) -> spaces.Space:
         low, high = zip(*bounds, strict=True)
         return spaces.Box(np.min(low, axis=0), np.max(high, axis=0))
 
-    space = joint([(team.simulator.world.low, team.simulator.world.high) for team in teams])
+    simulators = [simulator for team in teams for simulator in team.simulators]
+    space = joint([(simulator.world.low, simulator.world.high) for simulator in simulators])
     if not with_state:
         return space
-    return spaces.Dict({"observation": space, "state": joint([t.simulator.privileged_bounds() for t in teams])})
+    return spaces.Dict({"observation": space, "state": joint([s.privileged_bounds() for s in simulators])})
 
 
 def observations(teams: Sequence[Team], with_state: bool) -> Any:
@@ -96,7 +147,7 @@ def outcomes(teams: Sequence[Team], split: np.ndarray) -> Iterator[tuple[int, di
     """Rows whose episode is over, with how it ended. split: (B,) bool, not connected at some step."""
     for team in teams:
         for b in np.flatnonzero(team.simulator.over).tolist():
-            episode = team.simulator.state.episode[b]
+            episode = team.simulator_of(b).state.episode[b]
             outcome = {
                 "TimeLimit.truncated": bool(episode["truncated"] and not episode["terminated"]),
                 "is_success": bool(episode["success"]),  # SB3 logs rollout/success_rate

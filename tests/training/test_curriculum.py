@@ -1,0 +1,163 @@
+"""Trainings whose worlds draw what they fly, with a teacher for each scenario; runs where torch is installed."""
+
+import dataclasses
+import signal
+
+import numpy as np
+import pytest
+
+from fovconn_env import scenario
+
+pytest.importorskip("stable_baselines3")
+
+import torch
+
+from fovconn_env.baselines import find_policy
+from fovconn_env.errors import SettingError
+from fovconn_env.training.evaluation.interruption import Interrupted
+from fovconn_env.training.learn.curriculum import LEAST, Curriculum
+from fovconn_env.training.learn.dagger import Dagger, DaggerSettings
+from fovconn_env.training.learn.learning import Budget, train
+from fovconn_env.training.learn.model import Network
+from fovconn_env.training.learn.ppo import PPOSettings, Team
+from fovconn_env.training.learn.residual import Residual, ResidualSettings
+from fovconn_env.training.learn.rows import Rows
+
+SMALL = Network(width=8, spots=4, hidden=(16, 8))
+SEEDS = range(10000, 10002)
+SHORT = {"warmup": 0.1, "max_cycles": 6, "course.settle": 0.0}
+TASKS = [
+    scenario(n_agents=3, **SHORT),
+    scenario("LossyRadio-v0", level=2, n_agents=3, **SHORT),
+    scenario("LeaderAggressive-v0", level=4, n_agents=3, **SHORT),
+    scenario("Mix-v0", n_agents=4, **SHORT),
+]
+WEIGHTS = [1.0, 2.0, 1.0, 1.0]
+
+
+def dagger(**changes):
+    settings = DaggerSettings(n_worlds=4, n_steps=8, every=2, n_updates=2, batch=16, capacity=300, frontier=0.5)
+    teachers = ["cohesive", "springs", "follow", "expert"]
+    settings = dataclasses.replace(settings, **changes)
+    return Dagger(TASKS, 3, settings, SMALL, weights=WEIGHTS, teachers=teachers, n_threads=1)
+
+
+def team(**changes):
+    settings = dataclasses.replace(PPOSettings(n_worlds=4, n_steps=8, batch=24, frontier=0.5), **changes)
+    return Team(TASKS, 3, settings, SMALL, n_threads=1)  # weights of 1, as there is a frontier
+
+
+def residual(**changes):
+    settings = dataclasses.replace(ResidualSettings(n_worlds=4, n_steps=8, batch=24), **changes)
+    return Residual(TASKS, 3, settings, SMALL, weights=WEIGHTS, filtered=True, n_threads=1)
+
+
+MAKERS = {"dagger": dagger, "ppo": team, "residual": residual}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _one_thread():
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def state(algorithm):
+    """All that an algorithm is made of but the time it took."""
+    return {name: a.tobytes() for name, a in algorithm.pack().items() if name != "counters"}
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_a_resumed_training_is_the_one_without_a_break(name, tmp_path):
+    """What is drawn, and how probable it was, included."""
+    whole, length = MAKERS[name](), 6 * 8 * MAKERS[name]().rows.num_envs
+    train(whole, Budget(steps=length), tmp_path / "whole", scores=2, seeds=SEEDS)
+
+    def interrupt(share, text):
+        if 0.3 < share < 0.6:
+            signal.raise_signal(signal.SIGTERM)
+
+    with pytest.raises(Interrupted):
+        train(MAKERS[name](), Budget(steps=length), tmp_path / "broken", scores=2, seeds=SEEDS, progress=interrupt)
+    resumed = MAKERS[name]()
+    train(resumed, Budget(steps=length), tmp_path / "broken", scores=2, seeds=SEEDS, resume=True)
+    assert resumed.iteration == whole.iteration == 6
+    assert state(resumed) == state(whole)
+    np.testing.assert_array_equal(resumed.rows.flown(), whole.rows.flown())
+    assert len(set(whole.rows.flown())) > 2
+
+
+def test_each_row_is_labelled_by_the_teacher_of_what_it_flies():
+    algorithm = dagger()
+    for _ in range(2):
+        algorithm.fly(algorithm.generator(), beta=1.0)
+        algorithm.iteration += 1
+    rows, labels = algorithm.rows, algorithm.labels()
+    flat = rows.flat(slice(None))
+    for row, k in enumerate(rows.flown()):
+        law = find_policy(algorithm.teachers[k])(TASKS[k])
+        wanted = law.decide(flat[row : row + 1])[0] / rows.gains[k]
+        np.testing.assert_array_equal(labels[row], wanted.astype(np.float32))
+
+
+def test_a_fleet_of_shares_flies_the_units_of_what_was_drawn():
+    """LeaderAggressive 4 flies at most at 2.5 m/s too, but with its own stick: each row as its scenario alone."""
+    rows = Rows(TASKS[:3], 6, weights=[1, 1, 1], n_threads=1)
+    rows.reset()
+    outputs = np.random.default_rng(0).uniform(-1, 1, (18, 4)).astype(np.float32)
+    flown = rows.flown()
+    rows.step(outputs)
+    shares = np.stack([np.clip(outputs[r] * rows.gains[k], -1.0, 1.0) for r, k in enumerate(flown)])
+    np.testing.assert_array_equal(rows._actions, shares)
+
+
+def test_weights_move_to_what_is_flown_half_of_the_time():
+    rows = Rows(TASKS, 40, weights=WEIGHTS, n_threads=1)
+    course = Curriculum(WEIGHTS, 1.0, len(TASKS))
+    rows.success[:] = [0.5, 1.0, 0.25, 0.0]
+    course.move(rows)
+    (three, _) = rows.teams
+    np.testing.assert_allclose(three.simulator.weights, [1.0, 2.0 * LEAST, 0.75])
+    Curriculum(WEIGHTS, 0.5, len(TASKS)).move(rows)
+    np.testing.assert_allclose(three.simulator.weights, [1.0, 1.0, 0.875])
+    before = three.simulator.weights
+    Curriculum(WEIGHTS, 0.0, len(TASKS)).move(rows)
+    assert three.simulator.weights is before
+    assert Curriculum(None, 0.0, 3).weights is None
+    assert Curriculum(None, 0.5, 3).weights.tolist() == [1.0, 1.0, 1.0]
+
+
+def test_success_is_that_of_the_scenario_that_was_flown():
+    """Nobody arrives in six steps; what is not drawn stays where it was."""
+    rows = Rows(TASKS[:3], 4, weights=[1, 1, 0], n_threads=1)
+    rows.reset()
+    for _ in range(6):
+        rows.step(np.zeros((12, 4), np.float32))
+    assert (rows.success[:2] < 0.5).any()
+    assert rows.success[2] == 0.5
+
+
+@pytest.mark.parametrize("options, message", [
+    ({"teachers": ["cohesive"]}, "teachers must be 4 names, got 1: one a scenario"),
+    ({"teachers": ["recovery"] * 4}, "teacher must be a policy without a memory, got 'recovery'"),
+    ({"teachers": ["expert-flooding"] * 4}, "teacher must be a policy that flies with any equipment, got 'expert-fl"),
+    ({"teachers": ["oracle-planner"] * 4}, "policy must act by observations, got 'oracle-planner'"),
+    ({"weights": [1, 1]}, "weights must be 4 numbers, one a scenario"),
+])  # fmt: skip
+def test_what_cannot_be_taught(options, message):
+    with pytest.raises(SettingError, match=message):
+        Dagger(TASKS, 0, DaggerSettings(n_worlds=4), SMALL, **options)
+
+
+def test_a_resume_with_other_weights_or_teachers(tmp_path):
+    first = dagger()
+    train(first, Budget(steps=8 * first.rows.num_envs), tmp_path, scores=1, seeds=SEEDS)
+    settings, teachers = first.settings, first.teachers
+    for weights, names, message in (
+        ([1, 1, 1, 1], teachers, r"weights\[1\] must be the checkpoint's \(2.0\), got 1.0"),
+        (WEIGHTS, ["cohesive"] * 4, r"teachers\[1\] must be the checkpoint's \('springs'\), got 'cohesive'"),
+    ):
+        other = Dagger(TASKS, 3, settings, SMALL, weights=weights, teachers=names, n_threads=1)
+        with pytest.raises(SettingError, match=message):
+            train(other, Budget(steps=10_000), tmp_path, seeds=SEEDS, resume=True)
