@@ -4,6 +4,7 @@ import gc
 import multiprocessing
 import os
 import sys
+from contextlib import contextmanager
 from multiprocessing import forkserver
 from pathlib import Path
 from types import SimpleNamespace
@@ -38,8 +39,8 @@ def pytest_collection_finish():
 
 
 @pytest.fixture(scope="session")
-def warm():
-    """What processes that fly are forks of has loaded the kernels, too, see warm.py."""
+def fork_server():
+    """A context in which processes that fly are forks of one that has loaded what they need, see warm.py."""
     from fovconn_env.training.evaluation import workers  # not at the top: nor have they scipy
 
     multiprocessing.set_forkserver_preload(["tests.warm"])
@@ -48,6 +49,21 @@ def warm():
     with workers._inherited():
         forkserver.ensure_running()
     os.chdir(before)
+
+    @contextmanager
+    def forks():
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(workers, "START", "forkserver")
+            yield
+
+    return forks
+
+
+@pytest.fixture
+def warm(fork_server):
+    """Processes that fly are forks, not new ones as a user's."""
+    with fork_server():
+        yield
 
 
 @pytest.fixture

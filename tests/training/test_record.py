@@ -50,10 +50,11 @@ def made_up(**changes):
 
 
 @pytest.fixture(scope="module")
-def flown(warm, tmp_path_factory):
+def flown(fork_server, tmp_path_factory):
     """Evaluations of the study by cell, what its progress was told, and its record."""
     steps = []
-    evaluations = fly(STUDY, tmp_path_factory.mktemp("episodes"), lambda done, total: steps.append((done, total)))
+    with fork_server():
+        evaluations = fly(STUDY, tmp_path_factory.mktemp("episodes"), lambda done, total: steps.append((done, total)))
     return evaluations, steps, record(STUDY, evaluations, 1.0)
 
 

@@ -8,7 +8,6 @@ import os
 import pickle
 import queue
 import signal
-import sys
 import threading
 import time
 import traceback
@@ -24,9 +23,7 @@ from fovconn_env.training.evaluation.interruption import SIGNALS, Interrupted, n
 
 Watch = Callable[[float], bool]  # told how much of an order is done; False from it breaks off
 _POLL, _TELL, _GRACE = 0.1, 0.1, 10.0  # s: between two looks, between two reports, for a step that is being flown
-# A fork of this process would copy threads that do not run in the child. Linux forks one that has none and has imported
-# what all work with; what it took from the environment, it took when this process started its first worker.
-START = "forkserver" if sys.platform == "linux" else "spawn"
+START = "spawn"  # a fork would copy threads that do not run in the child
 # One thread a process: several processes that each start one a core wait for each other.
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
@@ -95,7 +92,6 @@ class _Worker:
 
     def __init__(self, work: Callable[..., Any]) -> None:
         context = multiprocessing.get_context(START)
-        context.set_forkserver_preload([work.__module__])
         self.connection, other = context.Pipe()
         self.process = context.Process(target=_serve, args=(other, work))
         with _inherited():
