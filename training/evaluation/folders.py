@@ -16,14 +16,14 @@ _PART = re.compile(r"\.[0-9a-f]{12}\.part(\.\w+)?$")  # see `files.replacing`
 
 
 @contextmanager
-def claimed(folder: Path, option: str = "--out") -> Iterator[None]:
+def claimed(folder: Path, option: str = "--out", *, wait: float = 0.0) -> Iterator[None]:
     """Make a folder and keep other processes out of it; one that ends, however, gives it back.
 
-    Raises `SettingError` at once if another process, or another thread of this one, has it.
+    Raises `SettingError`, at once or after a `wait` (s), if another process, or another thread of this one, has it.
     """
     folder.mkdir(parents=True, exist_ok=True)
     try:
-        with filelock.FileLock(folder / LOCK, timeout=0, is_singleton=True):
+        with filelock.FileLock(folder / LOCK, is_singleton=True).acquire(timeout=wait):
             sweep(folder)
             yield
     except filelock.Timeout:

@@ -7,10 +7,8 @@ of a run in a folder `returns` to docs/results/curves/returns/RUN.csv. Files of 
 
 from __future__ import annotations
 
-import csv
 import re
 import sys
-from collections.abc import Iterable
 from pathlib import Path
 
 import matplotlib
@@ -19,6 +17,7 @@ from matplotlib.figure import Figure
 
 from fovconn_env.files import write_text
 from fovconn_env.render.figures import style
+from fovconn_env.training.evaluation.curves import Curves, read
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 FOLDER, PICTURES = DOCS / "results" / "curves", DOCS / "images"
@@ -28,14 +27,6 @@ PANELS = {  # name in curves.csv: title
     "score/success": "success",
     "score/progress": "leader's progress",
 }
-Curves = dict[str, list[tuple[float, float]]]
-
-
-def read(file: Path, names: Iterable[str] = PANELS) -> Curves:
-    """Points (robot steps, value) of the curves of these names."""
-    with file.open(newline="", encoding="utf-8") as stream:
-        rows = [(row["name"], float(row["step"]), float(row["value"])) for row in csv.DictReader(stream)]
-    return {chosen: [(step, value) for name, step, value in rows if name == chosen] for chosen in names}
 
 
 def keep(run: Path) -> None:
@@ -104,6 +95,8 @@ def _kind(name: str) -> str:
 if __name__ == "__main__":
     for folder in sys.argv[1:]:
         keep(Path(folder))
-    style.save(draw({file.stem: read(file) for file in sorted(FOLDER.glob("*.csv"))}), PICTURES / "training.png")
+    style.save(
+        draw({file.stem: read(file, PANELS) for file in sorted(FOLDER.glob("*.csv"))}), PICTURES / "training.png"
+    )
     returns = {file.stem: read(file, ("return",)) for file in sorted(RETURNS.glob("*.csv"))}
     style.save(draw_returns(returns), PICTURES / "returns.png")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import io
 import json
 import re
 import shlex
+import signal
 import sys
 import tempfile
 import time
@@ -171,12 +173,16 @@ def train(
     seeds: Sequence[int] = CHOICE_SEEDS,
     progress: Callable[[float, str], None] = lambda share, text: None,
     say: Callable[[str], None] = lambda line: None,
+    scored: Callable[[int, Mapping[str, float]], None] = lambda number, score: None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> dict[str, Any]:
     """Train, score the policy `scores` times on `seeds` and keep the best one; what it scored.
 
     The folder gets NAME.safetensors with its card, model.zip (SB3, to go on with), curves and a checkpoint. One that
     holds a training is refused, unless to `resume` it, or to begin `fresh` in its place. Ctrl-C, or another signal to
-    end, leaves a checkpoint and raises `Interrupted`. `say` is told a line for each score.
+    end, leaves a checkpoint and raises `Interrupted`, and so does True from `stop`, which is asked after every
+    iteration. `say` is told a line for each score, `scored` its number, from 1 to `scores`, and what it is, both after
+    the checkpoint is written.
 
     Raises `SettingError` for a folder that is in use, a resume with other settings, code or data, and a training that
     diverges, `OSError` where a file cannot be written; what was there before stays.
@@ -184,7 +190,7 @@ def train(
     with claimed(folder):
         if not resume:
             make_room(folder, algorithm.name, fresh)
-        return _train(algorithm, budget, folder, resume, scores, seeds, progress, say)
+        return _train(algorithm, budget, folder, resume, scores, seeds, progress, say, scored, stop)
 
 
 def make_room(folder: Path, name: str, fresh: bool) -> None:
@@ -207,6 +213,8 @@ def _train(
     seeds: Sequence[int],
     progress: Callable[[float, str], None],
     say: Callable[[str], None],
+    scored: Callable[[int, Mapping[str, float]], None],
+    stop: Callable[[], bool],
 ) -> dict[str, Any]:
     """As `train`, in a folder that is claimed and ready."""
     place, best = folder / CHECKPOINT, {}
@@ -215,38 +223,39 @@ def _train(
         hint = "--resume goes on in a folder in which a training was"
         rule(place.is_file(), "checkpoint", "a file that exists", str(place), hint)
         best = restore(algorithm, read_archive(place, KIND), made_of, printable(str(place)))
-    curves, before = Curves(folder, algorithm.steps), algorithm.seconds
-    began = time.perf_counter()
+    before, began = algorithm.seconds, time.perf_counter()
 
     def save() -> None:
         header = {"recipe": algorithm.recipe(), "origin": made_of, "best": best}
         write_archive(place, KIND, Archive(header, algorithm.pack()), compress=False)
 
-    with noted_interruption() as interruption:
-        share = budget.share(algorithm.steps, algorithm.seconds)
-        while share < 1.0 and not interruption:
+    with contextlib.closing(Curves(folder, algorithm.steps)) as curves, noted_interruption() as interruption:
+        share, stopped = budget.share(algorithm.steps, algorithm.seconds), False
+        while share < 1.0 and not stopped:
             done, numbers = int(scores * share), algorithm.iterate(share)
             algorithm.iteration += 1
             algorithm.seconds = before + time.perf_counter() - began
             check_finite(algorithm, place)
-            share = budget.share(algorithm.steps, algorithm.seconds)
+            share, result = budget.share(algorithm.steps, algorithm.seconds), {}
             numbers["speed"] = (algorithm.steps) / max(algorithm.seconds, 1e-9)
             if int(scores * share) > done:
                 progress(share, "scoring")
-                scored = score(algorithm, seeds)
-                numbers |= {f"score/{name}": value for name, value in scored.items()}
-                if scored["worth"] > best.get("worth", -np.inf):
-                    best = {**scored, "steps": algorithm.steps}
+                result = score(algorithm, seeds)
+                numbers |= {f"score/{name}": value for name, value in result.items()}
+                if result["worth"] > best.get("worth", -np.inf):
+                    best = {**result, "steps": algorithm.steps}
                     write_policy(algorithm, folder, best, seeds)
+            curves.add(algorithm.steps, numbers)  # before the checkpoint: what is newer than that is dropped
+            if result:
                 save()
-                say(score_line(algorithm, share, scored, best))
-            curves.add(algorithm.steps, numbers)
+                say(score_line(algorithm, share, result, best))
+                scored(int(scores * share), result)
             progress(share, ", ".join(f"{name} {numbers[name]:.3g}" for name in ("loss", "success") if name in numbers))
-        curves.close()
-        if interruption:
+            stopped = bool(interruption) or stop()
+        if stopped:
             save()
             kept = f"interrupted after {algorithm.steps} steps; kept in {folder}, --resume goes on from there"
-            raise Interrupted(kept, interruption.number)
+            raise Interrupted(kept, interruption.number or signal.SIGINT)
     return best
 
 
