@@ -50,7 +50,7 @@ EXTRAS = {
     "foxglove": "foxglove",
     "zenoh": "zenoh",
     "cyclonedds": "dds",
-    "ray": "cluster",
+    **dict.fromkeys(("ray", "yaml"), "cluster"),
     **dict.fromkeys(("torch", "stable_baselines3", "tensorboard", "tqdm"), "learn"),
 }
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -18,8 +17,12 @@ from fovconn_env.baselines.learned.policy import Learned
 from fovconn_env.bounds import listed
 from fovconn_env.errors import rule
 from fovconn_env.training.commands import dataset
-from fovconn_env.training.commands.options import OUT, check_folder, parse, read_scenarios
+from fovconn_env.training.commands.options import OUT, Processes, check_folder, parse, read_scenarios
 from fovconn_env.training.commands.screen import err, out, progress
+from fovconn_env.training.learn.trainings import TRAINERS, Training
+
+if TYPE_CHECKING:
+    from fovconn_env.training.learn.learning import Budget
 
 app = typer.Typer(no_args_is_help=True, help="Train policies, and record flights to train from.")
 SHIPPED = ", ".join(name for name, kind in POLICIES.items() if issubclass(kind, Learned)) or "none yet"
@@ -42,6 +45,21 @@ Steps = Annotated[
 Minutes = Annotated[float | None, typer.Option(help="Length in minutes instead; the schedules follow the clock.")]
 Seed = Annotated[
     int, typer.Option(help="Training seed: network, worlds (50000 and up) and order of learning.", min=0, max=2**32 - 1)
+]
+Seeds = Annotated[
+    str | None,
+    typer.Option(help="Training seeds instead of one: 0-4 or 0,2,7; each trains in a folder below --out."),
+]
+Sweep = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Try settings: a grid and ranges of what --tune names, in YAML, by Ray Tune."),
+]
+Ray = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Spread --seeds or --sweep over a Ray cluster: local, auto, HOST:PORT or ray://HOST:PORT.",
+    ),
 ]
 Out = Annotated[Path | None, typer.Option("--out", help="Folder for policy, card, model.zip, curves, checkpoint.")]
 Resume = Annotated[
@@ -80,69 +98,54 @@ COMMON = {
     "tune": (Tune, None),
     "threads": (Threads, 1),
     "scores": (Scores, 10),
+    "seeds": (Seeds, None),
+    "sweep": (Sweep, None),
+    "ray": (Ray, None),
+    "processes": (Processes, None),
 }  # name: (option, default)
 
 
-class Trainer(NamedTuple):
+class Command(NamedTuple):
     """An algorithm on the command line."""
 
-    module: str  # in `training.learn`, imported when it runs
-    algorithm: str  # its class
-    settings: str  # the class of its hyper-parameters
     help: str
     options: Mapping[str, tuple[Any, Any]]  # beside COMMON
-    arguments: Callable[[Mapping[str, Any]], dict[str, Any]]  # of the class, from the options
+    arguments: Callable[[Mapping[str, Any]], dict[str, Any]]  # of a training, from the options
 
 
-TRAINERS = {
-    "dagger": Trainer(
-        "dagger",
-        "Dagger",
-        "DaggerSettings",
+COMMANDS = {
+    "dagger": Command(
         """Imitate the expert (or `--tune expert=augmented`) on the states the learner itself gets into.
 
         fovconn train dagger --steps 20000000 --out out/dagger
         """,
         {},
-        lambda given: {"n_threads": given["threads"]},
+        lambda given: {},
     ),
-    "bc": Trainer(
-        "bc",
-        "BC",
-        "BCSettings",
+    "bc": Command(
         """Clone the behaviour in recorded flights; --scenario is what checkpoints are scored on.
 
         fovconn train record --policy expert --seeds 50000-50063 --out out/expert.npz
         fovconn train bc --data out/expert.npz --steps 10000000 --out out/bc
         """,
         {"data": (Data, REQUIRED)},
-        lambda given: {"data": _episodes(given["data"])},
+        lambda given: {"data": [str(file.resolve()) for file in given["data"]]},
     ),
-    "ppo": Trainer(
-        "ppo",
-        "Team",
-        "PPOSettings",
+    "ppo": Command(
         """PPO, one policy for all robots: from scratch, or from a policy that can fly, held near it at first.
 
         fovconn train ppo --start out/dagger/dagger.safetensors --steps 20000000 --out out/ppo
         """,
         {"start": (Start, None), "filtered": (Filtered, False)},
-        lambda given: {
-            "start": _start(given["start"]),
-            "filtered": given["filtered"],
-            "n_threads": given["threads"],
-        },
+        lambda given: {"start": _start(given["start"]), "filtered": given["filtered"]},
     ),
-    "residual": Trainer(
-        "residual",
-        "Residual",
-        "ResidualSettings",
+    "residual": Command(
         """PPO learns a bounded correction of a law's action; the first policy is the law itself.
 
         fovconn train residual --steps 4000000 --out out/residual
         """,
         {"base": (Base, "cohesive"), "filtered": (Filtered, False)},
-        lambda given: {"filtered": given["filtered"], "n_threads": given["threads"]},
+        lambda given: {"filtered": given["filtered"]},
     ),
 }
 
@@ -153,7 +156,7 @@ def _command(name: str) -> Callable[..., None]:
     def command(**given: Any) -> None:
         _train(name, given)
 
-    options = {**COMMON, **TRAINERS[name].options}
+    options = {**COMMON, **COMMANDS[name].options}
     signature = [
         inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=option)
         for key, (option, default) in options.items()
@@ -163,8 +166,8 @@ def _command(name: str) -> Callable[..., None]:
     return command
 
 
-for _name, _trainer in TRAINERS.items():
-    app.command(_name, help=inspect.cleandoc(_trainer.help))(_command(_name))
+for _name, _described in COMMANDS.items():
+    app.command(_name, help=inspect.cleandoc(_described.help))(_command(_name))
 
 
 app.command("record")(dataset.command)
@@ -172,32 +175,52 @@ app.command("record")(dataset.command)
 
 # ------------------------------------------------------------------------------------------------------------ common
 def _train(name: str, given: Mapping[str, Any]) -> None:
-    """Make an algorithm from the options of the command line and train it under a progress bar."""
-    import torch
-
-    from fovconn_env.training.learn.learning import Budget, train
+    """Train what the options say: once, from several seeds, or a sweep."""
+    from fovconn_env.training.learn.learning import Budget
     from fovconn_env.training.learn.model import Network
 
-    trainer, tune = TRAINERS[name], given["tune"] or []
-    module = importlib.import_module(f"fovconn_env.training.learn.{trainer.module}")
-    kind = getattr(module, trainer.settings)
-    if "help" in tune:
-        for line in [*listed(kind), *listed(Network)]:
+    if "help" in (given["tune"] or []):
+        for line in [*listed(TRAINERS[name].find(TRAINERS[name].settings)), *listed(Network)]:
             out.print(line.replace(": ", "=", 1), soft_wrap=True)
         return
-    arguments = trainer.arguments(given)
     budget = Budget(steps=given["steps"], minutes=given["minutes"])
-    flown = read_scenarios(given["scenarios"] or ["LeaderFollow-v0"], given["settings"])
-    words: list[str] = [f"base={given['base']}", *tune] if "base" in given else tune
-    hyper, network = tuned(kind, Network, words, given["network"])
+    training = _training(name, given)
     rule(not (given["resume"] and given["fresh"]), "--resume and --fresh", "given one of the two", "both", "not both")
-    torch.set_num_threads(given["threads"])
     target = given["folder"] or OUT / name
     check_folder(target)
+    if given["seeds"] is not None or given["sweep"] is not None:
+        from fovconn_env.training.commands.sweeps import sweep
+
+        words = [word.partition("=")[0] for word in given["tune"] or []]
+        sweep(training, budget, target, words, given)
+        return
+    for option in ("ray", "processes"):
+        rule(
+            given[option] is None, f"--{option}", "given with --seeds or --sweep", given[option], "one training is one"
+        )
+    _train_once(training, budget, target, given)
+
+
+def _training(name: str, given: Mapping[str, Any]) -> Training:
+    """The training that the options describe."""
+    from fovconn_env.training.learn.model import Network
+
+    flown = read_scenarios(given["scenarios"] or ["LeaderFollow-v0"], given["settings"])
+    words: list[str] = [*([f"base={given['base']}"] if "base" in given else []), *(given["tune"] or [])]
+    settings, network = tuned(TRAINERS[name].find(TRAINERS[name].settings), Network, words, given["network"])
+    arguments = COMMANDS[name].arguments(given)
+    return Training(name, tuple(flown), given["seed"], settings, network, given["threads"], arguments)
+
+
+def _train_once(training: Training, budget: Budget, target: Path, given: Mapping[str, Any]) -> None:
+    """One training under a progress bar."""
+    from fovconn_env.training.learn.learning import train
+
+    name = training.name
     with progress() as bar:
         task = bar.add_task("loading (compiles once, 15 s)", total=1.0)
         best = train(
-            getattr(module, trainer.algorithm)(flown, given["seed"], hyper, network, **arguments),
+            training.make(),
             budget,
             target,
             resume=given["resume"],
@@ -209,12 +232,6 @@ def _train(name: str, given: Mapping[str, Any]) -> None:
     shown = ", ".join(f"{key} {value:.3g}" for key, value in best.items() if key not in ("worth", "steps"))
     line = f"wrote {target}/{name}.safetensors, of step {best.get('steps', 0)}: {shown}"
     out.print(line, highlight=False, soft_wrap=True)
-
-
-def _episodes(files: Sequence[Path]) -> list[Any]:
-    from fovconn_env.training.learn.datasets import load
-
-    return [load(file) for file in files]
 
 
 def tuned(kind: type, network: type, words: list[str], network_kind: str) -> tuple[Any, Any]:
@@ -235,4 +252,5 @@ def _start(name: str | None) -> Path | None:
         return None
     kind = find_policy(name)
     rule(issubclass(kind, Learned), "--start", "a learned policy", name, f"a file.safetensors, or one of: {SHIPPED}")
-    return getattr(kind, "file", None)
+    file = getattr(kind, "file", None)
+    return file.resolve() if file is not None else None

@@ -170,10 +170,10 @@ def _result_to_json(result: Result) -> dict[str, Any]:
         for name, value in result.settings.items()
     }
     row = {"policy": result.policy, "scenario": result.scenario, "settings": settings, "count": result.count}
-    row["measures"] = {name: _estimate_to_json(value) for name, value in result.measures.items()}
+    row["measures"] = {name: estimate_to_json(value) for name, value in result.measures.items()}
     if result.against:
         row["against"] = {
-            other: {name: _estimate_to_json(value) for name, value in measures.items()}
+            other: {name: estimate_to_json(value) for name, value in measures.items()}
             for other, measures in result.against.items()
         }
     if result.episodes:
@@ -197,7 +197,8 @@ def _estimates(measures: Mapping[str, Any]) -> dict[str, Estimate]:
     return {name: Estimate(*(nan if part is None else part for part in parts)) for name, parts in ends.items()}
 
 
-def _estimate_to_json(value: Estimate) -> float | list[float | None] | None:
+def estimate_to_json(value: Estimate) -> float | list[float | None] | None:
+    """A number, or with its interval three; null for NaN."""
     return _finite(value.value) if math.isnan(value.low) else [_finite(part) for part in value]
 
 

@@ -93,6 +93,21 @@ def mean_difference(a: Sequence[np.ndarray], b: Sequence[np.ndarray], comparison
     return Estimate(value, value - reach, value + reach)
 
 
+def mean(values: np.ndarray) -> Estimate:
+    """Mean of independent observations, (E,), with Student's interval: a bootstrap's is too narrow for five trainings.
+
+    NaN are left out.
+    """
+    from scipy import stats
+
+    values = values[np.isfinite(values)]
+    if len(values) < 2:
+        return Estimate(float(values[0]), math.nan, math.nan) if len(values) else NOTHING
+    value, t = float(values.mean()), float(stats.t.isf((1 - LEVEL) / 2, len(values) - 1))
+    reach = t * float(values.std(ddof=1)) / math.sqrt(len(values))
+    return Estimate(value, value - reach, value + reach)
+
+
 def iqm(strata: Sequence[np.ndarray]) -> Estimate:
     """Interquartile mean of all strata's values together, (E_s,) each; stratified percentile bootstrap.
 

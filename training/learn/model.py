@@ -40,6 +40,8 @@ class Network:
         rule(fine, "Network.hidden", "two layers", self.hidden, "for example hidden=(128, 64)")
         for name, size in (("width", self.width), ("spots", self.spots), *(("hidden", n) for n in self.hidden)):
             check_count(f"Network.{name}", size, "a layer has units")
+        fine = self.log_std is None or (type(self.log_std) in (int, float) and abs(self.log_std) <= 20)
+        rule(fine, "Network.log_std", "a number in [-20, 20] or None", self.log_std, "a logarithm")
 
     def deviating(self, log_std: float) -> Network:
         """With an algorithm's own first deviation, unless it is set."""

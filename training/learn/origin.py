@@ -29,7 +29,7 @@ def check_recipe(stored: Mapping[str, Any], current: Mapping[str, Any]) -> None:
         later = {name: value for name, value in LATER.items() if name in current["settings"]}
         stored = {**stored, "settings": {**later, **settings}}
     for name, value in current.items():
-        _check_same(name, stored.get(name), value, "resume with the same command, or train in another --out")
+        check_same(name, stored.get(name), value, "resume with the same command, or train in another --out")
 
 
 def code() -> dict[str, str]:
@@ -43,18 +43,19 @@ def check_origin(stored: Mapping[str, Any], current: Mapping[str, Any]) -> None:
     """Raise `SettingError` naming the first thing that is another one by now; checkpoints of 0.1 do not tell."""
     hint = "resume with that one, or go on from the policy: --start in another --out"
     for name in stored:
-        _check_same(name, stored[name], current.get(name), hint)
+        check_same(name, stored[name], current.get(name), hint)
 
 
-def _check_same(name: str, stored: Any, current: Any, hint: str) -> None:
+def check_same(name: str, stored: Any, current: Any, hint: str, whose: str = "the checkpoint's") -> None:
+    """Raise `SettingError` naming the first value, by dotted name, in which one JSON value differs from another."""
     if isinstance(stored, dict) and isinstance(current, dict):
         for key in dict.fromkeys([*current, *stored]):
-            _check_same(f"{name}.{key}", stored.get(key), current.get(key), hint)
+            check_same(f"{name}.{key}" if name else key, stored.get(key), current.get(key), hint, whose)
     elif isinstance(stored, list) and isinstance(current, list) and len(stored) == len(current):
         for k, (old, new) in enumerate(zip(stored, current, strict=True)):
-            _check_same(f"{name}[{k}]", old, new, hint)
+            check_same(f"{name}[{k}]", old, new, hint, whose)
     elif stored != current:
-        raise SettingError(f"{name} must be the checkpoint's ({one_line(repr(stored))}), got {current!r}: {hint}")
+        raise SettingError(f"{name} must be {whose} ({one_line(repr(stored))}), got {one_line(repr(current))}: {hint}")
 
 
 def as_in_version_0_1(value: Any) -> Any:
