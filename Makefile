@@ -4,6 +4,7 @@ VENV ?= .venv
 LIBRARIES ?= .venvs
 WORKERS ?= 2
 ARGS ?=
+RAY ?=
 LONG := --policy expert --policy expert-flooding --policy augmented --policy omni
 SHOWN := LeaderFollow-v0_curves.png LeaderObstacles-v0_causes.png
 
@@ -26,6 +27,7 @@ endif
 help:  ## list the targets
 	@$(PYTHON) -c 'import re; [print(f"  make {name:17} {what}") for name, what in re.findall("(?m)^([a-z-]+):.*## (.*)$$", open("Makefile", encoding="utf-8").read())]'
 	@echo 'demo, test-fast and test-integrations hand ARGS on: make demo ARGS="--seed 3", make test-fast ARGS="-k camera"'
+	@echo 'results flies on a Ray cluster as well: make results RAY="--ray auto", with the extra cluster installed'
 
 demo: $(VENV)/installed-demo  ## the paper's experiment: a table here, figures and an animation in out/demo/
 	$(BIN)/fovconn demo $(ARGS)
@@ -51,12 +53,12 @@ fuzz: $(VENV)/installed-dev  ## the tests with random inputs, with as many as do
 	FUZZ=full $(PYTEST) -m fuzz $(ARGS)
 
 results: $(VENV)/installed-demo  ## fly all that docs/results shows (two hours), write it, and check it
-	$(BIN)/fovconn eval --suite full --out out/results/full --json docs/results/full.json
-	$(BIN)/fovconn submit $$($(BIN)/python -c 'from fovconn_env.baselines import *; print(*POLICIES, *ORACLES)') --out out/results/full
-	$(BIN)/fovconn leaderboard out/results/full/*.npz --draw 1 --out out/results/leaderboard --json docs/results/leaderboard.json
-	$(BIN)/fovconn eval $(LONG) --seeds 0-999 --out out/results/thousand --json docs/results/thousand.json
-	$(BIN)/fovconn eval $(LONG) --seeds 0-999 --set stick_speed=2.5 --out out/results/fast --json docs/results/fast.json
-	$(BIN)/fovconn figures --ablations --seeds 0-319 --out out/results/ablations --json docs/results/ablations.json
+	$(BIN)/fovconn eval $(RAY) --suite full --out out/results/full --json docs/results/full.json
+	$(BIN)/fovconn submit $(RAY) $$($(BIN)/python -c 'from fovconn_env.baselines import *; print(*POLICIES, *ORACLES)') --out out/results/full
+	$(BIN)/fovconn leaderboard $(RAY) out/results/full/*.npz --draw 1 --out out/results/leaderboard --json docs/results/leaderboard.json
+	$(BIN)/fovconn eval $(RAY) $(LONG) --seeds 0-999 --out out/results/thousand --json docs/results/thousand.json
+	$(BIN)/fovconn eval $(RAY) $(LONG) --seeds 0-999 --set stick_speed=2.5 --out out/results/fast --json docs/results/fast.json
+	$(BIN)/fovconn figures $(RAY) --ablations --seeds 0-319 --out out/results/ablations --json docs/results/ablations.json
 	$(BIN)/python -m fovconn_env.training.evaluation levels learned cameras
 	cp out/results/ablations/ablations.png out/results/leaderboard/leaderboard.png docs/images/
 	cp $(addprefix out/results/full/plots/,$(SHOWN)) docs/images/

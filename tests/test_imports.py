@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-HEAVY = {"PIL", "av", "jinja2", "matplotlib", "pyarrow", "pygame", "rich", "stable_baselines3", "torch", "typer"}
+HEAVY = {"PIL", "av", "jinja2", "matplotlib", "pyarrow", "pygame", "ray", "rich", "stable_baselines3", "torch", "typer"}
 
 
 def test_importing_the_environment_loads_nothing_heavy():

@@ -9,7 +9,6 @@ import socket
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 from fovconn_env.errors import MachineError, missing_package, rule
@@ -20,11 +19,9 @@ LOCAL, RUNNING, CLIENT = "local", "auto", "ray://"
 _REACH = 5.0  # s that an address has to answer
 _LONGEST = 300  # letters of what ray says
 _ROOM = "/tmp"  # for Ray's sockets, whose paths have 107 bytes: the folder that TMPDIR names may use them up
-# Read by ray and by what it starts: no reports to its makers, no files left out of what is sent, no warning of a change
-# that does not concern us.
+# Read by ray and by what it starts: no reports to its makers, no warning of a change that does not concern us.
 _VARIABLES = {
     "RAY_USAGE_STATS_ENABLED": "0",
-    "RAY_OVERRIDE_RUNTIME_ENV_DEFAULT_EXCLUDES": "",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
 }
 
@@ -34,23 +31,19 @@ def connect(
     address: str,
     *,
     processes: int | None = None,
-    files: Path | None = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> Iterator[Any]:
     """The module `ray`, connected to a cluster. At the end the connection is closed, and a local Ray ended.
 
     address: `LOCAL` starts a Ray on this machine, with `processes` CPUs, one a core by default; `RUNNING` joins the one
     that this machine is a node of; HOST:PORT the same by its address; ray://HOST:PORT joins one from outside.
-    processes: CPUs that are needed; files: a folder of which each process of the cluster has a copy as its current one;
-    say: is told that a Ray is started.
+    processes: CPUs that are needed; say: is told that a Ray is started.
 
     Raises `MissingPackage` without ray, `SettingError` for an address of another form and for fewer CPUs than needed,
     and `MachineError` where no cluster answers.
     """
     ray = _import()
     wanted: dict[str, Any] = {"address": address, "log_to_driver": False, "logging_level": "error"}
-    if files is not None:
-        wanted["runtime_env"] = {"working_dir": str(files)}
     with contextlib.ExitStack() as stack:
         if address == LOCAL:
             count = processes or available_cores()
@@ -63,8 +56,9 @@ def connect(
         with _handlers_kept():
             try:
                 ray.init(**wanted)
-            except (OSError, RuntimeError, ValueError) as problem:
-                raise MachineError(f"{_refused(address)}: {_one_line(problem)}") from problem
+            except Exception as problem:  # of any class: ray has none for this
+                hint = "if it asks for a token, RAY_AUTH_MODE=token takes that of ~/.ray/auth_token"
+                raise MachineError(f"{_refused(address)}: {_one_line(problem)}; {hint}") from problem
         count = int(ray.cluster_resources().get("CPU", 0))
         enough = processes is None or processes <= count
         rule(enough, "--processes", f"at most the cluster's {count} CPUs", processes, "start more nodes")

@@ -61,6 +61,7 @@ class Nodes:
         self._ray, self._say = ray, say
         self._task = ray.remote(num_cpus=0, max_retries=0)(_check())  # other people's tasks do not hold it up
         self._known: dict[str, Node] = {}
+        self._gone = set[str]()
         self._checks: dict[Any, Node] = {}  # by the task that checks it
         self._looked = -_LOOK
         self.look()
@@ -77,14 +78,15 @@ class Nodes:
             return []
         self._looked = time.monotonic()
         there = {each["NodeID"]: each for each in self._ray.nodes() if each["Alive"]}
-        for name in there.keys() - self._known.keys():
+        for name in there.keys() - self._known.keys() - self._gone:
             self._known[name] = node = Node(there[name])
             if node.cpus:
                 self._checks[placed(self._task, node).remote()] = node
         return [node for name, node in self._known.items() if name not in there]
 
     def drop(self, node: Node) -> None:
-        """Give a node no more work; if it is seen again, it is a new one."""
+        """Give a node no more work: it is gone, even if ray lists it for a while."""
+        self._gone.add(node.id)
         self._known.pop(node.id, None)
         self.ready.pop(node.id, None)
 
@@ -99,10 +101,11 @@ class Nodes:
             node = self._checks.pop(task)
             try:
                 what = differences(here, self._ray.get(task))
+            except gone(self._ray):
+                self.drop(node)
+                continue
             except self._ray.exceptions.RayError as problem:
                 what = f"no answer, {type(problem).__name__}: {' '.join(str(problem).split())[:_LONGEST]}"
-            if node.id not in self._known:  # gone meanwhile
-                continue
             late = node.id not in self._first
             if not what:
                 self.ready[node.id] = node
@@ -113,6 +116,12 @@ class Nodes:
             else:
                 got = f"a cluster's nodes must compute as this machine does, got {node.name} with {what}"
                 raise SettingError(f"{got}: install the same there, or leave it out")
+
+
+def gone(ray: Any) -> tuple[type[Exception], ...]:
+    """What ray raises for a task whose node has died, before it ran, while or after."""
+    errors = ray.exceptions
+    return errors.NodeDiedError, errors.TaskUnschedulableError, errors.LocalRayletDiedError
 
 
 def placed(task: Any, node: Node) -> Any:

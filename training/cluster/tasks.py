@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from fovconn_env.errors import MachineError
-from fovconn_env.training.cluster.nodes import Node, Nodes, about, placed
+from fovconn_env.training.cluster.nodes import Node, Nodes, about, gone, placed
 from fovconn_env.training.evaluation.interruption import Interrupted, noted_interruption
 from fovconn_env.training.evaluation.workers import Died, exception, failure
 
@@ -41,10 +41,10 @@ def run_on_cluster(
     Raises as `run_orders`; `SettingError` for a node that computes otherwise, and `MachineError` where none is left.
     """
     nodes = Nodes(ray, say)
-    show(f"checking {_count(len(nodes.checks), 'node')}, kernels compile once on each")
-    begin()
-    here, state = about(), ""
     tasks = _Tasks(ray, work, orders, processes, nodes)
+    show(state := tasks.state())
+    begin()
+    here = about()
     with contextlib.ExitStack() as stack:
         stack.callback(tasks.cancel)
         interruption = stack.enter_context(noted_interruption())
@@ -129,14 +129,14 @@ class _Tasks:
         errors = self._ray.exceptions
         try:
             told, kind, value = self._ray.get(task)
-        except (errors.RayTaskError, errors.RuntimeEnvSetupError):
+        except errors.RayTaskError:
             raise
+        except gone(self._ray):
+            return "lost", node
         except errors.OutOfMemoryError:
             return "died", f"no memory left on node {node.name}"
-        except (errors.WorkerCrashedError, errors.RaySystemError):
+        except errors.RayError:
             return "died", f"a crash on node {node.name}"
-        except errors.RayError:  # the node has died, before, while or after it ran
-            return "lost", node
         self.told += told if kind == "done" else 0.0
         return kind, value
 
@@ -157,10 +157,11 @@ class _Tasks:
 
     def state(self) -> str:
         """What the cluster does, for people."""
-        ready, again = self._nodes.ready.values(), self._deaths.total()
-        text = f"{_count(len(ready), 'node')}, {_count(sum(node.cpus for node in ready), 'CPU')}"
-        checked = f", {len(self._nodes.checks)} checked" if self._nodes.checks else ""
-        return text + checked + (f", {_count(again, 'task')} run again" if again else "")
+        ready, checks, again = self._nodes.ready.values(), len(self._nodes.checks), self._deaths.total()
+        parts = [f"{_count(len(ready), 'node')}, {_count(sum(node.cpus for node in ready), 'CPU')}"] if ready else []
+        parts += [f"checking {_count(checks, 'node')}, kernels compile once on each"] if checks else []
+        parts += [f"{_count(again, 'task')} run again"] if again else []
+        return ", ".join(parts) or "no node"
 
     def cancel(self) -> None:
         """End what is running."""

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from fovconn_env.training.cluster.flights import runner
 from fovconn_env.training.commands.screen import err, progress, warm_up
 from fovconn_env.training.evaluation import Evaluation
 from fovconn_env.training.evaluation.campaign import fly_cells
@@ -20,10 +21,12 @@ def fly_all(
     fresh: bool,
     recordings: Path | None = None,
     complete: Callable[[list[Evaluation]], None] = lambda evaluations: None,
+    ray: str | None = None,
 ) -> tuple[list[Evaluation], float]:
     """Evaluations of the cells, and the seconds they took, with a progress bar.
 
-    folder: has or gets the folder of the episodes; seeds, recordings, complete: as of `fly_cells`.
+    folder: has or gets the folder of the episodes; seeds, recordings, complete: as of `fly_cells`; ray: the address of
+    a cluster to fly on.
     """
     began, total = time.perf_counter(), sum(len(seeds[cell]) for cell in cells)
     with progress() as bar:
@@ -33,6 +36,14 @@ def fly_all(
             warm_up(bar, cells[0].scenario, cells[0].policy)
             bar.start_task(task)
 
+        def say(line: str) -> None:
+            err.print(line, highlight=False, soft_wrap=True, markup=False)
+
+        def show(state: str) -> None:
+            bar.update(task, description=f"{total} episodes, {state}")
+            if not err.is_terminal:  # where no bar is seen
+                say(state)
+
         results = fly_cells(
             cells,
             seeds,
@@ -40,8 +51,9 @@ def fly_all(
             fresh=fresh,
             recordings=recordings,
             processes=processes,
+            run=runner(ray, say, show) if ray is not None else None,
             progress=tenths(total, lambda done: bar.update(task, completed=done)),
-            say=lambda line: err.print(line, highlight=False, soft_wrap=True, markup=False),
+            say=say,
             complete=complete,
             begin=begin,
         )

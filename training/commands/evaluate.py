@@ -17,6 +17,7 @@ from fovconn_env.training.commands.options import (
     Fresh,
     JsonFile,
     Processes,
+    RayAddress,
     Settings,
     check_folder,
     check_new,
@@ -70,6 +71,7 @@ def command(
     ] = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder for report, JSON and episodes.")] = OUT / "eval",
     processes: Processes = None,
+    ray: RayAddress = None,
     fresh: Fresh = False,
     json_file: JsonFile = None,
     recordings: Annotated[
@@ -101,7 +103,7 @@ def command(
     if recordings is not None:
         check_new("--record", [recording_file(recordings, *flight) for flight in _each(flights)], fresh)
     with claimed(folder), Draft(chosen, changes, folder) as draft:
-        results, seconds = fly_all(cells, flights, folder, processes, fresh, recordings, draft.add)
+        results, seconds = fly_all(cells, flights, folder, processes, fresh, recordings, draft.add, ray)
         say_replaced(folder / "results.json")
         with err.status("writing the report"):
             record, written = publish(results, chosen, changes, folder, seconds, draft)

@@ -19,6 +19,7 @@ from fovconn_env.training.commands.options import (
     Fresh,
     JsonFile,
     Processes,
+    RayAddress,
     Settings,
     check_folder,
     check_writable,
@@ -58,6 +59,7 @@ def command(
     ] = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder for picture, table and episodes.")] = OUT / "figures",
     processes: Processes = None,
+    ray: RayAddress = None,
     fresh: Fresh = False,
     json_file: JsonFile = None,
     force: Force = False,
@@ -75,6 +77,8 @@ def command(
         raise SettingError(
             "--strokes, --scale and --origin must come with --map, got them without: they read a drawing"
         )
+    if ray is not None and not ablations:
+        raise SettingError(f"--ray must come with --ablations, got {ray!r}: nothing else is flown here")
     check_installed("figures")
     check_folder(folder)
     check_writable({"--json": json_file})
@@ -88,7 +92,7 @@ def command(
             Map.from_file(map_file, **given).to_file(json_file)
             say_written([json_file])
     else:
-        _draw_ablations(folder, seeds or "0-127", processes, fresh, json_file)
+        _draw_ablations(folder, seeds or "0-127", processes, ray, fresh, json_file)
 
 
 def _draw_flight(file: Path, folder: Path, force: bool) -> None:
@@ -126,7 +130,9 @@ def _draw_map(
     say_written([picture])
 
 
-def _draw_ablations(folder: Path, seeds: str, processes: int | None, fresh: bool, json_file: Path | None) -> None:
+def _draw_ablations(
+    folder: Path, seeds: str, processes: int | None, ray: str | None, fresh: bool, json_file: Path | None
+) -> None:
     from fovconn_env.training.evaluation import ablations
     from fovconn_env.training.evaluation.ablation_picture import draw
     from fovconn_env.training.evaluation.study import record
@@ -135,7 +141,7 @@ def _draw_ablations(folder: Path, seeds: str, processes: int | None, fresh: bool
     study = ablations.study(parse_seeds(seeds))
     cells = list(dict.fromkeys(task.cell() for task in study.tasks))
     with claimed(folder):
-        evaluations, seconds = fly_all(cells, dict.fromkeys(cells, study.seeds), folder, processes, fresh)
+        evaluations, seconds = fly_all(cells, dict.fromkeys(cells, study.seeds), folder, processes, fresh, ray=ray)
         result = record(study, dict(zip(cells, evaluations, strict=True)), seconds).short()
         out.print(grid(f"ablations on {ablations.BASE}, {len(study.seeds)} seeds", *ablation_table(result)))
         written = [draw(result, folder / "ablations.png", f"{ablations.BASE}, seeds {seeds}, 95 % intervals")]

@@ -13,7 +13,7 @@ import typer
 
 from fovconn_env.files import write_text
 from fovconn_env.training.commands.campaigns import fly_all
-from fovconn_env.training.commands.options import OUT, JsonFile, Processes, check_folder, check_writable
+from fovconn_env.training.commands.options import OUT, JsonFile, Processes, RayAddress, check_folder, check_writable
 from fovconn_env.training.commands.screen import err, grid, out, say_written
 from fovconn_env.training.evaluation import draft
 from fovconn_env.training.evaluation.folders import claimed
@@ -37,6 +37,7 @@ def command(
         typer.Option(help="Draw these seeds from this number, to repeat a check; else at random.", min=0),
     ] = None,
     processes: Processes = None,
+    ray: RayAddress = None,
     json_file: JsonFile = None,
 ) -> None:
     """Fly submissions again on some seeds, refuse what comes out otherwise, and rank the rest by success.
@@ -54,7 +55,7 @@ def command(
     if with_code:
         err.print(f"running the code of {', '.join(with_code)}", style="yellow", soft_wrap=True)
     with claimed(folder):
-        check_flights(submissions, seeds, lambda cells, own: fly_all(cells, own, None, processes, True)[0])
+        check_flights(submissions, seeds, lambda cells, own: fly_all(cells, own, None, processes, True, ray=ray)[0])
         origin = {"command": shlex.join([Path(sys.argv[0]).stem, *sys.argv[1:]]), "draw": draw, "checked": check}
         run = run_block(time.perf_counter() - began) | versions() | origin | {"suites": first.suites}
         record = ranked(list(submissions.values()), run).short()

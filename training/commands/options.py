@@ -27,6 +27,14 @@ Settings = Annotated[
     typer.Option("--set", metavar="NAME=VALUE", help="Change a scenario setting, e.g. --set n_agents=4; repeatable."),
 ]
 Processes = Annotated[int | None, typer.Option(help="Processes; one a core by default.", min=1)]
+RayAddress = Annotated[
+    str | None,
+    typer.Option(
+        "--ray",
+        metavar="ADDRESS",
+        help="Fly on a Ray cluster: auto, HOST:PORT or ray://HOST:PORT; local starts a Ray on this machine.",
+    ),
+]
 Fresh = Annotated[bool, typer.Option("--fresh", help="Fly all anew, also what the folder has; replace recordings.")]
 Replace = Annotated[bool, typer.Option("--fresh", help="Replace the file if there is one.")]
 RecordFile = Annotated[Path | None, typer.Option("--record", metavar="FILE", help="Record the flight here, as .npz.")]

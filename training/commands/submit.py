@@ -13,7 +13,7 @@ from fovconn_env.baselines import find_pilot
 from fovconn_env.errors import rule
 from fovconn_env.text import file_name
 from fovconn_env.training.commands.campaigns import fly_all
-from fovconn_env.training.commands.options import OUT, Fresh, Processes, check_folder
+from fovconn_env.training.commands.options import OUT, Fresh, Processes, RayAddress, check_folder
 from fovconn_env.training.commands.screen import out, say_written
 from fovconn_env.training.evaluation.campaign import SUITES, check_labels, parse_seeds, seeds_of, suite_name
 from fovconn_env.training.evaluation.folders import claimed
@@ -33,6 +33,7 @@ def command(
     seeds: Annotated[str | None, typer.Option(help="Others than the suites' seeds: to try it with few.")] = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder for the submission and the episodes.")] = OUT / "submit",
     processes: Processes = None,
+    ray: RayAddress = None,
     fresh: Fresh = False,
 ) -> None:
     """Fly a policy on the suites of the leaderboard, and pack it, all that it reads, and all outcomes into one file.
@@ -55,7 +56,7 @@ def command(
     check_folder(folder)
     written = []
     with claimed(folder):
-        results, seconds = fly_all(list(flights), flights, folder, processes, fresh)
+        results, seconds = fly_all(list(flights), flights, folder, processes, fresh, ray=ray)
         flown, shelf = dict(zip(flights, results, strict=True)), Shelf(folder / "episodes")
         for policy in chosen:
             own = {name: [flown[Cell(policy, task)] for task in group] for name, group in tasks.items()}
