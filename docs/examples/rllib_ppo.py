@@ -1,14 +1,16 @@
-"""RLlib: PPO with one policy for all robots, on its new API stack.
+"""RLlib: PPO with one policy for all robots, on its new API stack, on one machine or a Ray cluster.
 
 RLlib 2.60 wants Gymnasium 1.2.2 exactly; give it a virtual environment of its own.
 
     pip install torch==2.13.0 -e . && pip install "ray[rllib]==2.60.0"
-    python docs/examples/rllib_ppo.py --iterations 20
+    python docs/examples/rllib_ppo.py --iterations 20 --runners 2 --checkpoint out/rllib
+    python docs/examples/rllib_ppo.py --iterations 20 --restore out/rllib --checkpoint out/rllib-more
 """
 
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 import ray
@@ -16,39 +18,21 @@ from ray.rllib.algorithms.algorithm import Algorithm
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 from ray.rllib.core.rl_module.rl_module import RLModuleSpec
-from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
-from ray.tune.registry import register_env
 
-import fovconn_env
+from fovconn_env.training.rllib import RobotsMultiAgentEnv
 
 
-class World(ParallelPettingZooEnv):
-    """One world, whose time limit stays a truncation.
-
-    RLlib takes an episode as terminated when each of its agents is done by its own flag, be it a truncation. All robots
-    end together, so `__all__` says it as well, and the critic's value goes on beyond the time limit.
-    """
-
-    def step(self, action_dict: dict[Any, Any]) -> tuple[dict, dict, dict, dict, dict]:
-        observations, rewards, terminateds, truncateds, infos = super().step(action_dict)
-        return observations, rewards, terminateds, {"__all__": truncateds["__all__"]}, infos
-
-
-def make_env(settings: dict[str, Any]) -> World:
-    """A world; RLlib hands `env_config` over as settings."""
-    return World(fovconn_env.parallel_env("LeaderFollow-v0", flat=True, **settings))
-
-
-def build(*, n_runners: int = 0, steps: int = 2048, seed: int = 0, **settings: Any) -> Algorithm:
+def build(*, n_runners: int = 0, n_learners: int = 0, steps: int = 2048, seed: int = 0, **settings: Any) -> Algorithm:
     """The algorithm, ready for `train()`.
 
-    n_runners: processes that fly, with 0 it is this one. steps: of a world, between updates.
+    n_runners, n_learners: processes that fly and that learn, with 0 it is this one. steps: of worlds, between updates,
+    for each learner.
     """
-    register_env("fovconn", make_env)
     config = (
         PPOConfig()
-        .environment("fovconn", env_config=settings)
+        .environment(RobotsMultiAgentEnv, env_config=settings)
         .env_runners(num_env_runners=n_runners, rollout_fragment_length="auto")
+        .learners(num_learners=n_learners)
         .multi_agent(policies={"shared"}, policy_mapping_fn=lambda agent, episode, **kwargs: "shared")
         .rl_module(
             rl_module_spec=RLModuleSpec(
@@ -70,22 +54,34 @@ def build(*, n_runners: int = 0, steps: int = 2048, seed: int = 0, **settings: A
     return config.build_algo()
 
 
-def train(n_iterations: int = 20, **options: Any) -> Algorithm:
-    """Build and learn for so many iterations; the caller calls `stop()`."""
-    algorithm = build(**options)
+def train(algorithm: Algorithm, n_iterations: int = 20) -> None:
+    """Learn for so many iterations; the caller calls `stop()`."""
     for iteration in range(n_iterations):
         result = algorithm.train()
         runners = result["env_runners"]
         mean = runners.get("episode_return_mean", float("nan"))  # the sum over the robots
         print(f"iteration {iteration + 1}/{n_iterations}: {runners['num_env_steps_sampled']} steps, return {mean:.2f}")
-    return algorithm
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--iterations", type=int, default=20)
-    parser.add_argument("--runners", type=int, default=0)
+    parser.add_argument("--runners", type=int, default=0, help="processes that fly")
+    parser.add_argument("--learners", type=int, default=0, help="processes that learn")
+    parser.add_argument("--steps", type=int, default=2048, help="of worlds, between updates")
     parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
-    ray.init(include_dashboard=False)
-    train(arguments.iterations, n_runners=arguments.runners, seed=arguments.seed).stop()
+    parser.add_argument("--address", help="of a running cluster, such as auto; without, Ray starts here")
+    parser.add_argument("--checkpoint", type=Path, help="folder to write at the end")
+    parser.add_argument("--restore", type=Path, help="folder of a checkpoint to go on from, with its settings")
+    options = parser.parse_args()
+    ray.init(options.address, **({} if options.address else {"include_dashboard": False}))
+    if options.restore:
+        algorithm = Algorithm.from_checkpoint(options.restore.resolve())
+    else:
+        algorithm = build(
+            n_runners=options.runners, n_learners=options.learners, steps=options.steps, seed=options.seed
+        )
+    train(algorithm, options.iterations)
+    if options.checkpoint:
+        print("checkpoint:", algorithm.save_to_path(options.checkpoint.resolve()))
+    algorithm.stop()
