@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from fovconn_env import __version__
+from fovconn_env import PRESETS, __version__
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("fovconn_env", "fovconn_env/baselines", "fovconn_env/training")
@@ -76,6 +76,10 @@ def test_the_wheel_holds_one_package(wheel):
     sources = {str(file.relative_to(ROOT)) for file in messages.rglob("*") if file.is_file()}
     assert len(sources) >= 8  # for colcon
     assert sources <= names
+    tasks = ROOT / "fovconn_env" / "training" / "benchmarl" / "conf"
+    settings = {str(file.relative_to(ROOT)) for file in tasks.rglob("*.yaml")}
+    assert len(settings) == len(PRESETS)  # of BenchMARL's tasks
+    assert settings <= names
     assert {f"{package}/py.typed" for package in PACKAGES} <= names
     assert {name.split("/")[0] for name in names} == {"fovconn_env", f"fovconn_env-{__version__}.dist-info"}
     assert wheel.stat().st_size < LIMIT

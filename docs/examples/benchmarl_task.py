@@ -1,4 +1,4 @@
-"""BenchMARL: our scenarios as a task of its own, and MAPPO on it; any of its algorithms and models can take the place.
+"""BenchMARL: MAPPO on one of our scenarios; any of its algorithms and models can take the place.
 
 BenchMARL 1.5.2 needs TorchRL below 0.12; give it a virtual environment of its own.
 
@@ -9,124 +9,14 @@ BenchMARL 1.5.2 needs TorchRL below 0.12; give it a virtual environment of its o
 from __future__ import annotations
 
 import argparse
-import itertools
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from benchmarl.algorithms import MappoConfig
-from benchmarl.environments import Task, TaskClass
 from benchmarl.experiment import Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
-from torchrl.data import Composite
-from torchrl.envs import EnvBase, PettingZooWrapper
 
-import fovconn_env
-
-SCENARIOS = {
-    "BLACKOUT": "Blackout-v0",
-    "LEADER_FOLLOW": "LeaderFollow-v0",
-    "TILT_DYNAMICS": "TiltDynamics-v0",
-    "REGROUP": "Regroup-v0",
-    "LEADER_OBSTACLES": "LeaderObstacles-v0",
-    "CORRIDOR": "Corridor-v0",
-    "LEADER_AGGRESSIVE": "LeaderAggressive-v0",
-    "NARROW_CAMERA": "NarrowCamera-v0",
-    "LOSSY_RADIO": "LossyRadio-v0",
-    "YAW_TRAP": "YawTrap-v0",
-    "SCALE_UP": "ScaleUp-v0",
-    "MIX": "Mix-v0",
-    "REAL_CAMERA": "RealCamera-v0",
-}
-
-
-class FovconnTask(TaskClass):
-    """A scenario with settings: `name` is the enum's, the config holds what is changed."""
-
-    @property
-    def scenario(self) -> fovconn_env.Scenario:
-        """What the worlds are made of."""
-        return fovconn_env.scenario(SCENARIOS[self.name], **self.config)
-
-    def get_env_fun(
-        self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
-    ) -> Callable[[], EnvBase]:
-        """A function that makes one world. BenchMARL calls it for each world, and would give all the same seed.
-
-        Seeds count up instead. With `parallel_collection` each process counts for itself: leave it off.
-        """
-        seeds = None if seed is None else itertools.count(seed)
-        return lambda: PettingZooWrapper(
-            fovconn_env.parallel_env(self.scenario, flat=True),
-            return_state=True,  # the true state, for centralised critics
-            seed=None if seeds is None else next(seeds),
-            device=device,
-        )
-
-    def supports_continuous_actions(self) -> bool:
-        return True
-
-    def supports_discrete_actions(self) -> bool:
-        return False
-
-    def has_render(self, env: EnvBase) -> bool:
-        return False
-
-    def max_steps(self, env: EnvBase) -> int:
-        return self.scenario.max_cycles
-
-    def group_map(self, env: EnvBase) -> dict[str, list[str]]:
-        return {"uav": self.scenario.agents}
-
-    def observation_spec(self, env: EnvBase) -> Composite:
-        return self._per_group(env, "observation")
-
-    def info_spec(self, env: EnvBase) -> Composite:
-        return self._per_group(env, "info")
-
-    def state_spec(self, env: EnvBase) -> Composite:
-        return Composite({"state": env.observation_spec["state"].clone()})
-
-    def action_spec(self, env: EnvBase) -> Composite:
-        return env.full_action_spec
-
-    def action_mask_spec(self, env: EnvBase) -> None:
-        return None
-
-    @staticmethod
-    def env_name() -> str:
-        return "fovconn"
-
-    def _per_group(self, env: EnvBase, entry: str) -> Composite:
-        groups = env.observation_spec.clone()
-        del groups["state"]
-        for group in self.group_map(env):
-            for key in list(groups[group].keys()):
-                if key != entry:
-                    del groups[group][key]
-        return groups
-
-
-class Fovconn(Task):
-    """Our scenarios; `Fovconn.LEADER_FOLLOW.get_task(config={...})` makes a task, the config being settings."""
-
-    BLACKOUT = None
-    LEADER_FOLLOW = None
-    TILT_DYNAMICS = None
-    REGROUP = None
-    LEADER_OBSTACLES = None
-    CORRIDOR = None
-    LEADER_AGGRESSIVE = None
-    NARROW_CAMERA = None
-    LOSSY_RADIO = None
-    YAW_TRAP = None
-    SCALE_UP = None
-    MIX = None
-    REAL_CAMERA = None
-
-    @staticmethod
-    def associated_class() -> type[TaskClass]:
-        return FovconnTask
+from fovconn_env.training.benchmarl import Fovconn
 
 
 def make_experiment(
@@ -149,7 +39,7 @@ def make_experiment(
     net = MlpConfig.get_from_yaml()
     net.num_cells = [64, 64]
     return Experiment(
-        task=Fovconn.LEADER_FOLLOW.get_task(config=settings),
+        task=Fovconn.LEADER_FOLLOW.get_task(config=settings or None),  # None: as its YAML file says
         algorithm_config=MappoConfig.get_from_yaml(),
         model_config=net,
         critic_model_config=net,

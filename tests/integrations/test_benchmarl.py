@@ -1,4 +1,7 @@
-"""docs/examples/benchmarl_task.py with BenchMARL."""
+"""Our tasks in BenchMARL, and docs/examples/benchmarl_task.py."""
+
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -7,6 +10,11 @@ from fovconn_env import PRESETS
 from tests.integrations import SHORT, assert_learned, example, weights
 
 pytest.importorskip("benchmarl")
+
+from benchmarl.environments import task_config_registry
+from benchmarl.hydra_config import reload_experiment_from_file
+
+from fovconn_env.training.benchmarl import CONF, Fovconn
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested using version:UserWarning"),
@@ -21,12 +29,20 @@ def script():
     return example("benchmarl_task")
 
 
-def test_every_scenario_is_a_task(script):
-    assert {script.SCENARIOS[task.name] for task in script.Fovconn} == set(PRESETS)
-    for task in script.Fovconn:
+def test_every_scenario_is_a_task_and_its_yaml_says_what_it_is():
+    tasks = [task.get_task() for task in Fovconn]
+    assert {task.scenario.name: task.scenario for task in tasks} == PRESETS
+    assert {task.name.lower() for task in tasks} == {file.stem for file in CONF.iterdir()}
+    assert {name: task for name, task in task_config_registry.items() if name.startswith("fovconn/")} == {
+        f"fovconn/{task.name.lower()}": task for task in Fovconn
+    }
+
+
+def test_specs_are_those_of_the_scenario():
+    for task in Fovconn:
         chosen = task.get_task(config={"warmup": 0.1})
         env = chosen.get_env_fun(1, True, 0, "cpu")()
-        assert env.scenario.name == script.SCENARIOS[task.name]
+        assert env.scenario == chosen.scenario
         assert chosen.max_steps(env) == PRESETS[env.scenario.name].max_cycles
         n = env.scenario.n_agents
         assert chosen.group_map(env) == {"uav": [f"uav_{i}" for i in range(n)]}
@@ -35,8 +51,21 @@ def test_every_scenario_is_a_task(script):
         assert chosen.action_spec(env)["uav", "action"].shape == (n, 4)
 
 
-def test_time_truncates_and_does_not_terminate(script):
-    env = script.Fovconn.LEADER_FOLLOW.get_task(config=SHORT).get_env_fun(1, True, 0, "cpu")()
+def test_a_yaml_file_of_ones_own(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("level: 2\ncamera: {a_min: 0.5}\n")
+    chosen = Fovconn.LOSSY_RADIO.get_task().scenario, Fovconn.LOSSY_RADIO.get_from_yaml(str(file)).scenario
+    assert [each.radio.delay for each in chosen] == [10, 20]
+    assert chosen[1].camera.a_min == 0.5
+
+
+def test_a_wrong_setting_is_named():
+    with pytest.raises(ValueError, match="'max_cycle': did you mean 'max_cycles'"):
+        Fovconn.MIX.get_task(config={"max_cycle": 8}).get_env_fun(1, True, 0, "cpu")()
+
+
+def test_time_truncates_and_does_not_terminate():
+    env = Fovconn.LEADER_FOLLOW.get_task(config=SHORT).get_env_fun(1, True, 0, "cpu")()
     ends = env.rollout(20)["next", "uav"]
     assert ends["truncated"][-1].all()
     assert not ends["truncated"][:-1].any()
@@ -64,3 +93,32 @@ def test_worlds_side_by_side_differ(script, tmp_path):
     assert batch.shape == (2, 16)
     one, other = batch["state"]
     assert (one != other).any(dim=-1).all()
+
+
+@pytest.mark.filterwarnings("ignore:TaskConfig python dataclass not found:UserWarning")  # `scenario` checks instead
+def test_benchmarls_command_flies_a_task_by_its_yaml_and_its_checkpoint_is_loaded_again(tmp_path):
+    sizes = {
+        "task.level": 2,
+        "task.max_cycles": 8,
+        "+task.warmup": 0.1,
+        "experiment.max_n_iters": 1,
+        "experiment.max_n_frames": "null",
+        "experiment.on_policy_n_envs_per_worker": 2,
+        "experiment.on_policy_collected_frames_per_batch": 32,
+        "experiment.on_policy_minibatch_size": 16,
+        "experiment.on_policy_n_minibatch_iters": 1,
+        "experiment.evaluation": "false",
+        "experiment.checkpoint_at_end": "true",
+        "experiment.loggers": "[]",
+    }
+    chosen = ["task=fovconn/lossy_radio", "algorithm=mappo", *(f"{name}={value}" for name, value in sizes.items())]
+    command = [sys.executable, "-m", "fovconn_env.training.benchmarl", *chosen]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    (file,) = tmp_path.rglob("checkpoint_32.pt")
+    experiment = reload_experiment_from_file(str(file))
+    experiment.close()
+    assert experiment.total_frames == 32
+    assert experiment.task.scenario.name == "LossyRadio-v0"
+    assert experiment.task.scenario.radio.delay == 20
+    assert experiment.task.scenario.max_cycles == 8
