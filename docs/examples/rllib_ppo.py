@@ -3,8 +3,8 @@
 RLlib 2.60 wants Gymnasium 1.2.2 exactly; give it a virtual environment of its own.
 
     pip install torch==2.13.0 -e . && pip install "ray[rllib]==2.60.0"
-    python docs/examples/rllib_ppo.py --iterations 20 --runners 2 --checkpoint out/rllib
-    python docs/examples/rllib_ppo.py --iterations 20 --restore out/rllib --checkpoint out/rllib-more
+    PYTHONHASHSEED=0 python docs/examples/rllib_ppo.py --iterations 20 --runners 2 --checkpoint out/rllib
+    PYTHONHASHSEED=0 python docs/examples/rllib_ppo.py --iterations 20 --restore out/rllib --checkpoint out/rllib-more
 """
 
 from __future__ import annotations
@@ -20,6 +20,9 @@ from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 from ray.rllib.core.rl_module.rl_module import RLModuleSpec
 
 from fovconn_env.training.rllib import RobotsMultiAgentEnv
+
+# RLlib walks through sets of robots' names: a seed repeats a run only where Python hashes them alike in all processes.
+SAME_HASHES = {"env_vars": {"PYTHONHASHSEED": "0"}}
 
 
 def build(*, n_runners: int = 0, n_learners: int = 0, steps: int = 2048, seed: int = 0, **settings: Any) -> Algorithm:
@@ -74,7 +77,7 @@ if __name__ == "__main__":
     parser.add_argument("--checkpoint", type=Path, help="folder to write at the end")
     parser.add_argument("--restore", type=Path, help="folder of a checkpoint to go on from, with its settings")
     options = parser.parse_args()
-    ray.init(options.address, **({} if options.address else {"include_dashboard": False}))
+    ray.init(options.address, runtime_env=SAME_HASHES)
     if options.restore:
         algorithm = Algorithm.from_checkpoint(options.restore.resolve())
     else:

@@ -36,11 +36,11 @@ def script():
 
 
 @pytest.fixture(scope="module", autouse=True)
-def cluster():
+def cluster(script):
     """Two raylets with one CPU each."""
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
     cluster.add_node(num_cpus=1)
-    ray.init(cluster.address, log_to_driver=False, configure_logging=False)
+    ray.init(cluster.address, runtime_env=script.SAME_HASHES, log_to_driver=False, configure_logging=False)
     yield
     ray.shutdown()
     cluster.shutdown()
@@ -134,6 +134,14 @@ def test_two_raylets_fly_different_worlds(trained):
     (node, state), (other_node, other_state) = trained[1]
     assert node != other_node
     assert (state != other_state).any()
+
+
+def test_two_raylets_repeat_a_seed(script, trained):
+    algorithm = script.build(n_runners=2, steps=96, seed=3, **SHORT)
+    algorithm.train()
+    again = mean_actions(algorithm, trained[2])
+    algorithm.stop()
+    np.testing.assert_array_equal(again, trained[3])
 
 
 def test_a_checkpoint_is_restored_and_goes_on(trained):
