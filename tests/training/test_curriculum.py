@@ -1,6 +1,7 @@
 """Trainings whose worlds draw what they fly, with a teacher for each scenario; runs where torch is installed."""
 
 import dataclasses
+import json
 import signal
 
 import numpy as np
@@ -161,3 +162,41 @@ def test_a_resume_with_other_weights_or_teachers(tmp_path):
         other = Dagger(TASKS, 3, settings, SMALL, weights=weights, teachers=names, n_threads=1)
         with pytest.raises(SettingError, match=message):
             train(other, Budget(steps=10_000), tmp_path, seeds=SEEDS, resume=True)
+
+
+# --------------------------------------------------------------------------------------------------------- command
+WORDS = ["--set", "n_agents=3", "--set", "warmup=0.1", "--set", "max_cycles=6", "--steps", "96", "--scores", "1"]
+TUNED = ("n_worlds=4", "n_steps=8", "every=2", "n_updates=1", "batch=16", "capacity=99", "width=8", "spots=4")
+TUNE = [word for text in (*TUNED, "hidden=(16,8)", "frontier=0.5") for word in ("--tune", text)]
+
+
+def test_weights_and_teachers_behind_scenarios(fovconn, tmp_path):
+    """In words of the command line and in a file, which may have remarks."""
+    (tmp_path / "tasks.txt").write_text(
+        "LeaderFollow-v0 teacher=cohesive  # as ever\n\n"
+        "# late messages\n"
+        "LossyRadio-v0 level=3 teacher=springs weight=2\n"
+    )
+    more = ["--scenario", "@tasks.txt", "--scenario", "Mix-v0 weight=0.5"]
+    shown = fovconn("train", "dagger", *more, *WORDS, *TUNE, "--out", "out")
+    assert shown.status == 0, shown.err
+    made = json.loads((tmp_path / "out" / "dagger.json").read_text())["made"]
+    assert [each["name"] for each in made["scenarios"]] == ["LeaderFollow-v0", "LossyRadio-v0", "Mix-v0"]
+    assert made["teachers"] == ["cohesive", "springs", "expert"]
+    assert made["weights"] == [1.0, 2.0, 0.5]
+
+
+@pytest.mark.parametrize("algorithm, words, message", [
+    ("dagger", ["LeaderFollow-v0 weight=two"], "weight must be a number behind LeaderFollow-v0, got 'two': weight=2"),
+    ("dagger", ["LeaderFollow-v0 teacher=3"], "teacher must be a policy's name behind LeaderFollow-v0, got 3"),
+    ("dagger", ["LeaderFollow-v0 teacher=recovery"], "teacher must be a policy without a memory, got 'recovery'"),
+    ("dagger", ["@none.txt"], "No such file or directory: 'none.txt'"),
+    ("dagger", ["LeaderFollow-v0 weight=0"], "weights must be at least 0 and not all 0, got [0.0]"),
+    ("ppo", ["LeaderFollow-v0 teacher=follow"], "teacher must be given to dagger, got ['follow']: ppo imitates nobody"),
+])  # fmt: skip
+def test_wrong_words_behind_scenarios(fovconn, algorithm, words, message):
+    given = [word for one in words for word in ("--scenario", one)]
+    shown = fovconn("train", algorithm, *given, *WORDS, "--out", "out")
+    assert shown.status == 2
+    assert message in shown.err
+    assert "Traceback" not in shown.err

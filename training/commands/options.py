@@ -5,17 +5,19 @@ from __future__ import annotations
 import ast
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
 from fovconn_env import PRESETS, Recording, Scenario, scenario
 from fovconn_env.baselines import ORACLES, POLICIES
-from fovconn_env.errors import SettingError
+from fovconn_env.errors import SettingError, rule
+from fovconn_env.files import read_file
 from fovconn_env.fleet.ros.foxglove_server import ADDRESS
 from fovconn_env.flights.recording import load
 
 OUT = Path("out")
+MOST_BYTES = 1 << 20  # of a list of scenarios
 
 ScenarioName = Annotated[str, typer.Option("--scenario", help="Scenario id: " + ", ".join(PRESETS))]
 PolicyName = Annotated[str, typer.Option("--policy", help=f"Policy: {', '.join(POLICIES)}; or file.py:Class")]
@@ -106,6 +108,47 @@ def read_recording(file: Path) -> Recording:
     if not len(recording.actions):
         raise SettingError(f"{file} holds no step: nothing was flown")
     return recording
+
+
+class Task(NamedTuple):
+    """A scenario in a training."""
+
+    scenario: Scenario
+    weight: float | None = None  # how probable it is that a world flies it; None: not given
+    teacher: str | None = None  # the policy that is imitated there
+
+
+def read_tasks(words: list[str], changes: list[str] | None) -> list[Task]:
+    """As `read_scenarios`, where weight=NUMBER and teacher=POLICY may stand behind an id; "@FILE" has one a line.
+
+    In a file, what follows a # is a remark.
+    """
+    lines: list[str] = []
+    for word in words:
+        text = (
+            read_file(Path(word[1:]), "list of scenarios", MOST_BYTES).decode("utf-8", "replace")
+            if word.startswith("@")
+            else word
+        )
+        parts = [part.partition("#")[0].strip() for part in text.split("\n")]
+        lines += [part for part in parts if part] or [""]
+    return [_read_task(line, parse(changes)) for line in lines]
+
+
+def _read_task(line: str, common: dict[str, Any]) -> Task:
+    name, *own = line.split() or [""]
+    settings = parse(own)
+    weight, teacher = settings.pop("weight", None), settings.pop("teacher", None)
+    number = isinstance(weight, (int, float)) and not isinstance(weight, bool)
+    rule(weight is None or number, "weight", f"a number behind {name}", weight, "weight=2")
+    rule(
+        teacher is None or isinstance(teacher, str),
+        "teacher",
+        f"a policy's name behind {name}",
+        teacher,
+        "teacher=follow",
+    )
+    return Task(scenario(name, **{**common, **settings}), weight, teacher)
 
 
 def read_scenarios(names: list[str], changes: list[str] | None) -> list[Scenario]:

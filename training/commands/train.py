@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -17,7 +17,7 @@ from fovconn_env.baselines.learned.policy import Learned
 from fovconn_env.bounds import listed
 from fovconn_env.errors import rule
 from fovconn_env.training.commands import dataset
-from fovconn_env.training.commands.options import OUT, Processes, check_folder, parse, read_scenarios
+from fovconn_env.training.commands.options import OUT, Processes, Task, check_folder, parse, read_tasks
 from fovconn_env.training.commands.screen import err, out, progress
 from fovconn_env.training.learn.trainings import TRAINERS, Training
 
@@ -32,7 +32,9 @@ Scenarios = Annotated[
     typer.Option(
         "--scenario",
         help=f"Scenario id: {', '.join(PRESETS)}; settings may follow in the same word: 'ScaleUp-v0 level=3'. "
-        "Repeatable: the worlds are shared out, one policy learns all.  [default: LeaderFollow-v0]",
+        "Repeatable: the worlds are shared out, one policy learns all. With weight=2 behind one, worlds draw what they "
+        "fly at each reset; with teacher=follow, DAgger imitates that policy there. @FILE has one a line.  "
+        "[default: LeaderFollow-v0]",
     ),
 ]
 Changes = Annotated[
@@ -205,11 +207,25 @@ def _training(name: str, given: Mapping[str, Any]) -> Training:
     """The training that the options describe."""
     from fovconn_env.training.learn.model import Network
 
-    flown = read_scenarios(given["scenarios"] or ["LeaderFollow-v0"], given["settings"])
+    tasks = read_tasks(given["scenarios"] or ["LeaderFollow-v0"], given["settings"])
     words: list[str] = [*([f"base={given['base']}"] if "base" in given else []), *(given["tune"] or [])]
     settings, network = tuned(TRAINERS[name].find(TRAINERS[name].settings), Network, words, given["network"])
-    arguments = COMMANDS[name].arguments(given)
-    return Training(name, tuple(flown), given["seed"], settings, network, given["threads"], arguments)
+    arguments = COMMANDS[name].arguments(given) | _drawn(name, tasks, settings)
+    flown = tuple(task.scenario for task in tasks)
+    return Training(name, flown, given["seed"], settings, network, given["threads"], arguments)
+
+
+def _drawn(name: str, tasks: Sequence[Task], settings: Any) -> dict[str, Any]:
+    """Weights and teachers of the tasks, as far as any are given."""
+    weights, teachers = [task.weight for task in tasks], [task.teacher for task in tasks]
+    arguments: dict[str, Any] = {}
+    if any(weight is not None for weight in weights):
+        rule(name != "bc", "weight", "given to what flies", weights, "bc learns from the flights in its data")
+        arguments["weights"] = [1.0 if weight is None else float(weight) for weight in weights]
+    if any(teacher is not None for teacher in teachers):
+        rule(name == "dagger", "teacher", "given to dagger", teachers, f"{name} imitates nobody")
+        arguments["teachers"] = [teacher or settings.expert for teacher in teachers]
+    return arguments
 
 
 def _train_once(training: Training, budget: Budget, target: Path, given: Mapping[str, Any]) -> None:
