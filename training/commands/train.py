@@ -60,7 +60,7 @@ Ray = Annotated[
     str | None,
     typer.Option(
         metavar="ADDRESS",
-        help="Spread --seeds or --sweep over a Ray cluster: local, auto, HOST:PORT or ray://HOST:PORT.",
+        help="Train on a Ray cluster, --seeds or --sweep: auto or HOST:PORT; local starts a Ray here.",
     ),
 ]
 Out = Annotated[Path | None, typer.Option("--out", help="Folder for policy, card, model.zip, curves, checkpoint.")]
