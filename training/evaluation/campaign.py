@@ -18,7 +18,7 @@ from fovconn_env.sim.seeds import MAX_SEED
 from fovconn_env.sim.simulator import Simulator
 from fovconn_env.text import file_name
 from fovconn_env.training.evaluation.flights import Evaluation, Reused, fly, label, reuse_line
-from fovconn_env.training.evaluation.folders import claimed, sweep
+from fovconn_env.training.evaluation.folders import claimed, remove_parts
 from fovconn_env.training.evaluation.interruption import Interrupted
 from fovconn_env.training.evaluation.provenance import Files, Reads, changed
 from fovconn_env.training.evaluation.shelf import Cell, Flown, Shelf, in_order
@@ -183,7 +183,7 @@ def fly_cells(
             raise Interrupted(text, signal.number) from None
         finally:
             if recordings is not None and recordings.is_dir():
-                sweep(recordings)
+                remove_parts(recordings)
         return [
             in_order(flown.evaluation, numbers)._replace(reused=part, changed=tuple(changed(flown.files)))
             for flown, part, numbers in zip(done, reused, own, strict=True)

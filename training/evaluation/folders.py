@@ -24,14 +24,14 @@ def claimed(folder: Path, option: str = "--out", *, wait: float = 0.0) -> Iterat
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with filelock.FileLock(folder / LOCK, is_singleton=True).acquire(timeout=wait):
-            sweep(folder)
+            remove_parts(folder)
             yield
     except filelock.Timeout:
         hint = "wait for it to end, or name another folder"
         raise SettingError(f"{option} must name a folder that is not in use, got {str(folder)!r}: {hint}") from None
 
 
-def sweep(folder: Path) -> None:
+def remove_parts(folder: Path) -> None:
     """Remove the half-written files of a process that was killed."""
     for file in folder.glob("*.part*"):
         if _PART.search(file.name):
