@@ -93,6 +93,9 @@ def test_early_stopping_and_a_sweep_that_is_gone_on_with(cluster, fovconn, tmp_p
     assert shown.status == 0, shown.err
     assert [results(Path("out", trial["folder"])) for trial in trials] == before
     assert Path("out", record["best"], "ppo.safetensors").read_bytes() == Path("out/ppo.safetensors").read_bytes()
+    shown = fovconn("train", "ppo", *words, "--resume", "--threads", 3)
+    assert shown.status == 2
+    assert "--threads must be at most 1, the CPUs of the largest node, got 3" in shown.err
     Path("sweep.yaml").write_text("grid: {gamma: [0.9]}")
     shown = fovconn("train", "ppo", *words, "--resume")
     assert shown.status == 2

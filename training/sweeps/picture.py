@@ -27,7 +27,7 @@ PANELS = {
 NAMED = 6  # points that have a colour and stand in the legend, the best ones; the others are grey
 BANDS = 2  # points whose interval is drawn, the best ones: more would cover each other
 TICKS = 6  # values of a setting that have a tick each; others have those of numbers
-WIDE = 20.0  # greatest value of a setting over its least from which its axis is logarithmic
+WIDE = 10.0  # greatest value of a setting over its least from which its axis is logarithmic
 
 
 @matplotlib.rc_context(style.RC)

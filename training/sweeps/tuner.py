@@ -40,9 +40,10 @@ def run_on_ray(study: Study, told: Told, most: int | None = None) -> list[Outcom
     node has CPUs.
     """
     trials, length, asha, folder = study.trials(), study.length, study.space.asha, study.folder
-    here, threads = check_nodes(folder / STUDY, told.say), study.training.threads
+    threads = study.training.threads
     cpus = int(max(node["Resources"].get("CPU", 0) for node in ray.nodes() if node["Alive"]))
     rule(threads <= cpus, "--threads", f"at most {cpus}, the CPUs of the largest node", threads, "each needs one")
+    here = check_nodes(folder / STUDY, told.say)
     shutil.rmtree(folder / FOLDER, ignore_errors=True)  # all that a resumed sweep needs is in the trials' folders
     scheduler = None
     if asha is not None:
