@@ -47,7 +47,7 @@ def results(folder):
 
 def test_eight_trials_of_which_a_node_is_lost_are_those_of_this_process(cluster, tmp_path):
     points = [{"learning_rate": rate, "n_epochs": n} for rate in (1e-3, 2e-3, 4e-3, 8e-3) for n in (1, 2)]
-    study = Study(TRAINING, Space(points), Length(Budget(steps=864), 12), tmp_path / "sweep")
+    study = Study(TRAINING, Space(points), Length(Budget(steps=432), 6), tmp_path / "sweep")
     study.folder.mkdir()
     begin(study, resume=False, fresh=False)
     trials, other, said, over = study.trials(), cluster.add_node(num_cpus=1), [], set()
@@ -66,7 +66,7 @@ def test_eight_trials_of_which_a_node_is_lost_are_those_of_this_process(cluster,
     (line,) = said
     assert "was lost with its process or node; it goes on from its checkpoint" in line
     for k, trial in enumerate(trials):
-        train(TRAINING.changed(0, points[k]).make(), study.length.budget, tmp_path / f"{k}", scores=12)
+        train(TRAINING.changed(0, points[k]).make(), study.length.budget, tmp_path / f"{k}", scores=6)
         assert results(trial.folder) == results(tmp_path / f"{k}")
     found, _ = finish(study, outcomes, draw=False)
     worths = [summary.worth for summary in found]

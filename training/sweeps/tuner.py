@@ -27,6 +27,7 @@ _QUIET = {
     "RAY_AIR_NEW_OUTPUT": "0",  # the new one prints a box, however quiet it is asked to be
     "TUNE_DISABLE_AUTO_CALLBACK_LOGGERS": "1",  # the trainer has written all that
     "TUNE_DISABLE_STRICT_METRIC_CHECKING": "1",  # a trial's last result has its outcome alone
+    "TUNE_PRINT_ALL_TRIAL_ERRORS": "0",  # `_Report` tells of each lost trial in a line
     "TUNE_DISABLE_SIGINT_HANDLER": "1",  # signals raise `Interrupted`, as elsewhere
 }
 
