@@ -14,6 +14,7 @@ PAGE = (EXAMPLES.parent / "integrations.md").read_text("utf-8")
 LISTS = [Path(__file__).with_name(name) for name in ("current.txt", "older.txt")]
 CONSTRAINTS = EXAMPLES.parents[1] / "constraints.txt"
 DISTRIBUTIONS = {"RLlib": "ray"}  # where the library's name is another
+OURS = {"sb3": "stable_baselines3", "rllib": "ray", "benchmarl": "benchmarl"}  # what rooms of training import
 BLOCKS = re.findall(r"^```py\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
 
 
@@ -30,7 +31,7 @@ CURRENT = {**pins(CONSTRAINTS), **CURRENT}
 
 def rows() -> list[list[str]]:
     """Cells of the table of libraries, without its head."""
-    table = [line.strip("|").split("|") for line in PAGE.splitlines() if line.startswith("|")]
+    table = [line.strip("|").split("|") for line in re.findall(r"(?:^\|.*\n)+", PAGE, re.M)[0].splitlines()]
     return [[cell.strip() for cell in row] for row in table[2:]]
 
 
@@ -43,7 +44,7 @@ def test_versions_are_those_that_are_installed():
     assert len(rows()) == 7
     for library, versions, *_ in rows():
         name = DISTRIBUTIONS.get(library, library.lower())
-        installed = [listed[name] for listed in (CURRENT, OLDER) if name in listed]
+        installed = list(dict.fromkeys(listed[name] for listed in (CURRENT, OLDER) if name in listed))
         assert versions.split(", ") == installed, library
 
 
@@ -73,8 +74,9 @@ def test_every_script_is_in_the_table_and_has_its_test():
 
 
 @pytest.mark.parametrize("block", BLOCKS, ids=range(len(BLOCKS)))
-def test_code_runs(block):
-    ours = ["stable_baselines3"] if "fovconn_env.training.sb3" in block else []
+def test_code_runs(block, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)  # where what makes a folder makes it
+    ours = [library for room, library in OURS.items() if f"fovconn_env.training.{room}" in block]
     for name in [*re.findall(r"^(?:from|import) (\w+)", block, re.M), *ours]:
         if util.find_spec(name) is None:
             pytest.skip(f"{name} is not installed")

@@ -44,7 +44,7 @@ def own(tmp_path):
 @pytest.fixture
 def counted(monkeypatch):
     """The numbers of steps and resets that all simulators of this process make."""
-    counts = {"step": 0, "reset": 0}
+    counts = {"advance": 0, "reset": 0}
     for name in counts:
         plain = getattr(Simulator, name)
 
@@ -102,7 +102,7 @@ def test_data_sets_begin_there_too(own):
 
 def test_a_demo_flies_once(own, counted):
     flight, result, recording = fly_once(own, TASK, SEED, lambda done: None)
-    assert counted == {"step": STEPS, "reset": 1}
+    assert counted == {"advance": STEPS, "reset": 1}
     assert len(flight.time) == len(recording.actions) + 1 == STEPS + 1
     for name, values in evaluate(own, TASK, [SEED]).episodes.items():
         np.testing.assert_array_equal(result.episodes[name], values)
@@ -111,10 +111,10 @@ def test_a_demo_flies_once(own, counted):
 @pytest.mark.parametrize("words", [("replay", "--out", "flight.csv"), ("replay",), ("figures", "--out", "drawn")])
 def test_a_recording_is_flown_again_once(words, fovconn, counted, tmp_path, monkeypatch):
     record("expert", TASK, SEED).save(tmp_path / "flight.npz")
-    counted.update(step=0, reset=0)
+    counted.update(advance=0, reset=0)
     shown = fovconn(words[0], tmp_path / "flight.npz", *words[1:])
     assert shown.status == 0, shown.err
-    assert counted == {"step": STEPS, "reset": 1}
+    assert counted == {"advance": STEPS, "reset": 1}
 
 
 def test_recordings_of_a_campaign_are_of_the_flights_it_measures(tmp_path):
