@@ -16,7 +16,7 @@ from fovconn_env.baselines.laws.filters import split_name
 from fovconn_env.baselines.learned.cards import SUFFIX
 from fovconn_env.errors import PolicyError
 from fovconn_env.files import write_files
-from fovconn_env.training.cluster.connection import connect
+from fovconn_env.training.cluster.connection import LOCAL, connect
 from fovconn_env.training.cluster.tasks import run_on_cluster
 from fovconn_env.training.evaluation.campaign import Order, Runner
 from fovconn_env.training.evaluation.flights import Evaluation
@@ -65,7 +65,7 @@ def runner(address: str, say: Callable[[str], None], show: Callable[[str], None]
             copies, names = ray.put(files), {policy: _parts(policy) for policy in own}
             there = functools.partial(fly_there, work, copies, home, names)
             told = {"progress": progress, "died": died, "begin": begin, "say": say, "show": show}
-            run_on_cluster(ray, there, orders, processes, keep=keep_all, **told)
+            run_on_cluster(ray, there, orders, processes, keep=keep_all, alone=address == LOCAL, **told)
 
     return run
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import platform
 import time
 from collections.abc import Callable, Mapping
@@ -55,8 +56,12 @@ class Node:
 class Nodes:
     """Those that may be given work: each is checked once, before it gets any, also if it joins late."""
 
-    def __init__(self, ray: Any, say: Callable[[str], None]) -> None:
-        """ray: connected, see `connection.connect`; say: is told a line of each node that joins late, or differs."""
+    def __init__(self, ray: Any, say: Callable[[str], None], alone: bool = False) -> None:
+        """ray: connected, see `connection.connect`; say: is told a line of each node that joins late, or differs.
+
+        alone: none comes or goes. A signal to end that reaches a Ray of our own first would find us asking it which
+        there are, and ray waits a minute for an answer and ends Python.
+        """
         self.ready: dict[str, Node] = {}  # by id
         self._ray, self._say = ray, say
         self._task = ray.remote(num_cpus=0, max_retries=0)(_check())  # other people's tasks do not hold it up
@@ -65,6 +70,7 @@ class Nodes:
         self._checks: dict[Any, Node] = {}  # by the task that checks it
         self._looked = -_LOOK
         self.look()
+        self._looked = math.inf if alone else self._looked
         self._first = set(self._known)  # that were there at the beginning
 
     @property

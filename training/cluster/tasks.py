@@ -31,16 +31,18 @@ def run_on_cluster(
     begin: Callable[[], None] = lambda: None,
     say: Callable[[str], None] = lambda line: None,
     show: Callable[[str], None] = lambda text: None,
+    alone: bool = False,
 ) -> None:
     """As `workers.run_orders` on the nodes of a cluster, each order with one CPU and one thread.
 
     ray: see `connection.connect`; processes: orders that are run at once, one a CPU by default. `progress` is told of
     whole orders, and those that are running at an interruption are lost. An order is run up to four times. `say` gets a
-    line of a node that joins late, is lost, or differs; `show` what the cluster does, whenever that changes.
+    line of a node that joins late, is lost, or differs; `show` what the cluster does, whenever that changes. alone: the
+    cluster is a Ray of this process, whose nodes stay as they are.
 
     Raises as `run_orders`; `SettingError` for a node that computes otherwise, and `MachineError` where none is left.
     """
-    nodes = Nodes(ray, say)
+    nodes = Nodes(ray, say, alone)
     tasks = _Tasks(ray, work, orders, processes, nodes)
     show(state := tasks.state())
     begin()
