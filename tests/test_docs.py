@@ -88,12 +88,12 @@ def test_readme_is_short_and_has_the_examples_it_promises():
 @pytest.mark.parametrize("arguments", commands("fovconn"), ids=" ".join)
 def test_commands_parse(arguments):
     typer_main = pytest.importorskip("typer.main")
-    from fovconn_env.training.commands.app import app
+    from fovconn_env.training.commands.app import app, words
     from fovconn_env.training.commands.options import parse
     from fovconn_env.training.evaluation.campaign import parse_seeds, suite
 
     command = typer_main.get_command(app).commands[arguments[0]]
-    values = command.make_context(arguments[0], arguments[1:]).params
+    values = command.make_context(arguments[0], words(arguments[1:])).params
     policies = values.get("policies") or [values.get("policy") or "expert"]
     policies = [policy.rpartition("=")[2] for policy in policies]  # fovconn fleet takes "uav_3=follow" as well
     # written or trained by the reader

@@ -19,10 +19,16 @@ def test_without_ray_it_says_what_to_install(fovconn, monkeypatch, words):
     assert "Traceback" not in shown.err
 
 
-def test_what_flies_nothing_takes_no_cluster(fovconn):
-    shown = fovconn("figures", "flight.npz", "--ray", "local")
+@pytest.mark.parametrize("words, address", [
+    (["--ray", "auto"], "auto"),
+    (["--ray"], "local"),
+    (["--ray", "--out", "out"], "local"),
+])  # fmt: skip
+def test_what_flies_nothing_takes_no_cluster(fovconn, words, address):
+    """An address may be left out, at the end and before another option."""
+    shown = fovconn("figures", "flight.npz", *words)
     assert shown.status == 2
-    assert "--ray must come with --ablations, got 'local': nothing else is flown here" in shown.err
+    assert f"--ray must come with --ablations, got '{address}': nothing else is flown here" in shown.err
 
 
 def test_a_machine_is_itself_and_what_differs_is_named():

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import errno
 import io
+import itertools
 import sys
 import traceback
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +15,7 @@ import typer
 
 import fovconn_env
 from fovconn_env.errors import FovconnError, PolicyError, missing_package, place_of
+from fovconn_env.training.cluster.connection import LOCAL
 from fovconn_env.training.commands import (
     bench,
     demo,
@@ -64,7 +67,7 @@ def main() -> None:
             stream.reconfigure(errors="backslashreplace")  # where it takes no degree sign, or no half of a letter
     try:
         with raised_interruption():
-            app(standalone_mode=True)
+            app(words(sys.argv[1:]), standalone_mode=True)
     except FovconnError as problem:
         say_error(str(problem))
         sys.exit(2)
@@ -77,6 +80,14 @@ def main() -> None:
         if not line:
             err.print("".join(traceback.format_exception(problem)), soft_wrap=True)
         sys.exit(2 if line else 1)
+
+
+def words(given: Sequence[str]) -> list[str]:
+    """The words of a command line, where --ray alone stands for --ray local: typer wants a value behind an option."""
+    said: list[str] = []
+    for word, following in itertools.zip_longest(given, given[1:], fillvalue="-"):
+        said += [word, LOCAL] if word == "--ray" and following.startswith("-") else [word]
+    return said
 
 
 def one_line(problem: Exception) -> str:

@@ -33,8 +33,8 @@ RayAddress = Annotated[
     str | None,
     typer.Option(
         "--ray",
-        metavar="ADDRESS",
-        help="Fly on a Ray cluster: auto, HOST:PORT or ray://HOST:PORT; local starts a Ray on this machine.",
+        metavar="[ADDRESS]",
+        help="Fly on a Ray cluster: auto, HOST:PORT or ray://HOST:PORT; local, or none, starts a Ray on this machine.",
     ),
 ]
 Fresh = Annotated[bool, typer.Option("--fresh", help="Fly all anew, also what the folder has; replace recordings.")]

@@ -59,8 +59,8 @@ Sweep = Annotated[
 Ray = Annotated[
     str | None,
     typer.Option(
-        metavar="ADDRESS",
-        help="Train on a Ray cluster, --seeds or --sweep: auto or HOST:PORT; local starts a Ray here.",
+        metavar="[ADDRESS]",
+        help="Train on a Ray cluster, --seeds or --sweep: auto or HOST:PORT; local, or none, starts a Ray here.",
     ),
 ]
 Out = Annotated[Path | None, typer.Option("--out", help="Folder for policy, card, model.zip, curves, checkpoint.")]
