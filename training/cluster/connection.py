@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import signal
 import socket
@@ -52,7 +53,7 @@ def connect(
             say(f"starting Ray on this machine, with {count} CPUs")
         else:
             _check_answers(address)
-        stack.callback(ray.shutdown, wait_for_processes=address == LOCAL)  # also after an interruption half-way
+        stack.callback(_close, ray, wait=address == LOCAL)  # also after an interruption half-way
         with _handlers_kept():
             try:
                 ray.init(**wanted)
@@ -63,6 +64,21 @@ def connect(
         enough = processes is None or processes <= count
         rule(enough, "--processes", f"at most the cluster's {count} CPUs", processes, "start more nodes")
         yield ray
+
+
+def _close(ray: Any, *, wait: bool) -> None:
+    """Close the connection. Meanwhile no other thread, one that draws for example, may come upon what is left of ray.
+
+    Where one collects a reference to an object of a cluster just then, ray ends Python with status 1 and no word.
+    """
+    collects = gc.isenabled()
+    gc.collect()
+    gc.disable()
+    try:
+        ray.shutdown(wait_for_processes=wait)
+    finally:
+        if collects:
+            gc.enable()
 
 
 def _import() -> Any:
