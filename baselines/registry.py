@@ -20,6 +20,7 @@ from fovconn_env.baselines.laws.recovery import Recovery
 from fovconn_env.baselines.laws.simple import Follow, Random, Springs, Zero
 from fovconn_env.baselines.learned.cards import FOLDER, SUFFIX
 from fovconn_env.baselines.learned.policy import Learned, from_file
+from fovconn_env.baselines.oracles.informed import PREFIX, Informed, informed
 from fovconn_env.baselines.oracles.planner import Planner
 from fovconn_env.baselines.oracles.team_oracle import TeamOracle
 from fovconn_env.baselines.own import files_of, load_file, load_module
@@ -74,7 +75,10 @@ def find_policy(name: Named) -> type[Policy]:
 
 
 def find_pilot(name: Named) -> type[Pilot]:
-    """As `find_policy`, for what is flown by `rollout`: a `TeamOracle`, of `ORACLES` or of your own, is one, too."""
+    """As `find_policy`, for what is flown by `rollout`: a `TeamOracle`, of `ORACLES` or of your own, is one, too.
+
+    "informed:" before a policy without a memory is one that acts on true observations, see `oracles.informed`.
+    """
     if not isinstance(name, (str, os.PathLike)):
         return _kind(name, "policy", name)
     name = os.fspath(name)
@@ -83,6 +87,9 @@ def find_pilot(name: Named) -> type[Pilot]:
     filter, inner = split_name(name)
     if filter is not None:
         return filtered(filter, find_policy(inner), inner if inner in POLICIES else None)
+    if name.startswith(f"{PREFIX}:"):
+        inner = name.removeprefix(f"{PREFIX}:")
+        return informed(find_policy(inner), inner if inner in POLICIES else None)
     if name.endswith(SUFFIX):
         _check_file(name, name)
         return from_file(Path(name))
@@ -114,7 +121,7 @@ def source_files(kind: type[Pilot]) -> list[Path]:
         files += files_of(each.__module__)
     if issubclass(kind, Learned) and hasattr(kind, "file"):
         files += [kind.file, kind.file.with_suffix(".json")]
-    if issubclass(kind, Filtered):
+    if issubclass(kind, (Filtered, Informed)):
         files += source_files(kind.inner)
     if issubclass(kind, FunctionPolicy):
         (function,) = kind.original

@@ -98,7 +98,8 @@ def test_commands_parse(arguments):
     policies = [policy.rpartition("=")[2] for policy in policies]  # fovconn fleet takes "uav_3=follow" as well
     # written or trained by the reader
     yours = re.compile(r"my_policy\.py(:\w+)?|(lambda2-cbf:)?out/(\w+)/\3\.safetensors")
-    assert all(policy in (*POLICIES, *ORACLES) or yours.fullmatch(policy) for policy in policies)
+    known = [policy.removeprefix("informed:") for policy in policies]
+    assert all(policy in (*POLICIES, *ORACLES) or yours.fullmatch(policy) for policy in known)
     names = values.get("scenario_names") or [values.get("scenario_name") or "LeaderFollow-v0"]
     if values.get("suite_name"):
         names = suite(values["suite_name"], policies, values.get("only") or ())[1]

@@ -16,10 +16,11 @@ class TeamOracle(Pilot):
 
     `rollout` alone makes a `Truth`, and gives it to what has no `act`; a `Policy` has one. So no policy can come by the
     truth, and what acts or learns by observations refuses a TeamOracle. One is made for each flight: it may remember,
-    and forgets nothing.
+    and forgets nothing. Only one that says `has_memory = False` can teach.
     """
 
     oracle: ClassVar[bool] = True
+    has_memory: ClassVar[bool] = True
 
     @abstractmethod
     def decide(self, truth: Truth) -> np.ndarray:

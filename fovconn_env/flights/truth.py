@@ -22,12 +22,17 @@ class Truth(NamedTuple):
     yaw: np.ndarray  # (B, N) in [-pi, pi)
     velocity: np.ndarray  # (B, N, 3) m/s
     yaw_rate: np.ndarray  # (B, N) rad/s
+    roll: np.ndarray  # (B, N)
+    pitch: np.ndarray  # (B, N)
     optical_axis: np.ndarray  # (B, N, 3) unit vectors, tilted with the body
     alive: np.ndarray  # (B, N) bool
     sees: np.ndarray  # (B, N) bool, its camera works
     talks: np.ndarray  # (B, N) bool, its radio works
     weight: np.ndarray  # (B, N, N) true A_ij (6)
+    view: np.ndarray  # (B, N, N) true f*_ij (10)
+    hidden: np.ndarray  # (B, N, N) bool, an obstacle hides one of the two from a camera that would see it
     lambda2: np.ndarray  # (B,) true, of the living
+    v2: np.ndarray  # (B, N) entries of its unit eigenvector
     split: np.ndarray  # (B,) s since the team was split
     leader: np.ndarray  # (B,) int64
     stick: np.ndarray  # (B, 3) m/s, the operator's velocity in this step, which is added to the leader's action
@@ -37,6 +42,7 @@ class Truth(NamedTuple):
     piece: np.ndarray  # (B, P) kernel.records.PIECE, obstacles; used ones first, count 0 is unused
     vertex: np.ndarray  # (B, V, 2) m, corners of the pieces' cores
     fault: np.ndarray  # (B, F) kernel.records.FAULT, of the whole episode, future ones among them
+    observation: np.ndarray  # (B, N, D) float32, what the robots themselves know
 
 
 def read_truth(simulator: Simulator) -> Truth:
@@ -59,12 +65,17 @@ def read_truth(simulator: Simulator) -> Truth:
         yaw=body["yaw"].copy(),
         velocity=world_frame(*(body[name] for name in ("vx", "vy", "vz"))),
         yaw_rate=body["yaw_rate"].copy(),
+        roll=body["roll"].copy(),
+        pitch=body["pitch"].copy(),
         optical_axis=world_frame(*(body[name] for name in ("axis_x", "axis_y", "axis_z"))),
         alive=body["alive"].copy(),
         sees=body["sees"].copy(),
         talks=body["talks"].copy(),
         weight=state.pair["weight"].copy(),
+        view=state.pair["f_star"].copy(),
+        hidden=state.pair["blocked"].copy(),
         lambda2=episode["lambda2"].copy(),
+        v2=state.fiedler.copy(),
         split=episode["split"].copy(),
         leader=episode["leader"].copy(),
         stick=stick,
@@ -74,6 +85,7 @@ def read_truth(simulator: Simulator) -> Truth:
         piece=world.piece.copy(),
         vertex=world.vertex.copy(),
         fault=world.fault.copy(),
+        observation=simulator.observations.copy(),
     )
     for array in truth:
         array.flags.writeable = False

@@ -8,12 +8,14 @@ import pytest
 
 from fovconn_env import Fault, Map, Simulator, scenario
 from fovconn_env.baselines import ORACLES, POLICIES, Policy, TeamOracle, find_pilot, find_policy, load_policy
+from fovconn_env.baselines.oracles.informed import informed, true_observations
 from fovconn_env.baselines.oracles.paths import STEP, band_clearance, find_path
 from fovconn_env.baselines.oracles.plan import TURN
 from fovconn_env.baselines.oracles.planner import Planner
 from fovconn_env.errors import SettingError
 from fovconn_env.flights.rollout import rollout
 from fovconn_env.flights.truth import read_truth
+from fovconn_env.layout import rows
 from tests.helpers import recorded_actions, small
 
 REFUSED = r"policy must act by observations, got .*: a TeamOracle flies by the truth"
@@ -269,6 +271,73 @@ def test_another_leader_gets_another_plan():
             break
     assert simulator.state.episode["success"].all()
     assert simulator.state.episode["leader"] == 2
+
+
+# --------------------------------------------------------------------------------------- laws that know the truth
+@pytest.mark.nojit
+@pytest.mark.parametrize("name", ["LeaderObstacles-v0", "TiltDynamics-v0"])
+def test_true_observations_are_the_geometry(name):
+    """Each row by vectors of the world frame; the nearest come first, and who is dead or out of reach has none."""
+    chosen = small(name, n_agents=5, max_neighbors=3, patience=1e3, faults=(Fault(kind="robot", robot=3, at=0.1),))
+    simulator = flown(chosen, 8)
+    truth, reach = read_truth(simulator), chosen.camera.d_max
+    assert truth.alive.tolist() == [[True, True, True, False, True]] * 2
+    own, neighbors, ranges = rows(true_observations(truth, chosen), 3, chosen.max_ranges)
+    np.testing.assert_array_equal(ranges, rows(simulator.observations, 3, chosen.max_ranges).ranges)
+    for b, i in [(b, i) for b in range(2) for i in (0, 1, 2, 4)]:
+        here, yaw = truth.position[b, i], truth.yaw[b, i]
+        turn = np.array([[np.cos(yaw), np.sin(yaw), 0], [-np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])  # to the yaw frame
+        me, motion = own[b, i], turn @ truth.velocity[b, i]
+        np.testing.assert_allclose([me.vx, me.vy, me.vz], motion, atol=1e-6)
+        assert (me.lambda2_hat, me.v2_hat) == pytest.approx((truth.lambda2[b], truth.v2[b, i]), abs=1e-6)
+        away = {j: np.linalg.norm(truth.position[b, j] - here) for j in (0, 1, 2, 4) if j != i}
+        expected = sorted((j for j in away if away[j] < reach and not truth.hidden[b, i, j]), key=away.__getitem__)[:3]
+        assert neighbors["present"][b, i].tolist() == [1.0] * len(expected) + [0.0] * (3 - len(expected))
+        for row, j in zip(neighbors[b, i], expected, strict=False):
+            bearing = turn @ (truth.position[b, j] - here) / away[j]
+            np.testing.assert_allclose([row.bearing_x, row.bearing_y, row.bearing_z], bearing, atol=1e-6)
+            angle = truth.yaw[b, j] - yaw
+            told = [row.distance, row.cos_yaw, row.sin_yaw, row.weight, row.f_ij, row.f_ji, row.roll, row.yaw_rate]
+            wanted = [away[j], np.cos(angle), np.sin(angle), truth.weight[b, i, j], truth.view[b, i, j]]
+            wanted += [truth.view[b, j, i], truth.roll[b, j], truth.yaw_rate[b, j]]
+            np.testing.assert_allclose(told, wanted, atol=1e-6)
+            assert (row.yaw_valid, row.age, row.v2_hat) == pytest.approx((1.0, 0.0, truth.v2[b, j]), abs=1e-6)
+
+
+def test_what_robots_know_comes_near_the_truth():
+    """With cameras that see all around, estimators that are given the truth and no noise, robots know the same."""
+    seeing = {"camera.a_min": -1.0, "camera.a_max": -0.999, "lambda2": "true", "relative_yaw": "true"}
+    chosen = scenario(warmup=2.0, patience=1e3, **seeing)
+    simulator = Simulator(chosen, 2)
+    simulator.reset(3)
+    simulator.step(np.zeros((2, 6, 4)))
+    observed, true = (rows(x, 8, chosen.max_ranges) for x in (
+        simulator.observations, true_observations(read_truth(simulator), chosen)))  # fmt: skip
+    both = observed.neighbors["present"] * true.neighbors["present"] > 0
+    assert both.sum() > 40
+    np.testing.assert_allclose(observed.own["lambda2_hat"], true.own["lambda2_hat"], rtol=1e-5)
+    for name in ("distance", "bearing_x", "bearing_y", "cos_yaw", "sin_yaw", "weight", "f_ij", "f_ji"):
+        np.testing.assert_allclose(observed.neighbors[name][both], true.neighbors[name][both], atol=0.1, err_msg=name)
+
+
+def test_a_law_that_knows_the_truth_is_an_oracle_with_a_name():
+    kind = find_pilot("informed:cohesive")
+    assert issubclass(kind, TeamOracle)
+    assert kind is informed(POLICIES["cohesive"], "cohesive") is pickle.loads(pickle.dumps(kind))
+    assert (kind.__name__, kind.oracle, kind.has_memory) == ("informed-cohesive", True, False)
+    with pytest.raises(SettingError, match=REFUSED):
+        find_policy("informed:cohesive")
+    with pytest.raises(SettingError, match="informed: must be followed by a policy without a memory, got 'adaptive'"):
+        find_pilot("informed:adaptive")
+    with pytest.raises(SettingError, match="policy must act by observations, got 'informed:follow'"):
+        find_pilot("informed:informed:follow")
+
+
+def test_the_truth_is_worth_it():
+    """HardLate: messages are late and lost. The law that knows the truth finishes 15 of 16 flights, on its own 5."""
+    task = scenario("HardLate-v1")
+    assert outcomes("informed:cohesive", task, range(16))[0] >= 15
+    assert outcomes("cohesive", task, range(16))[0] <= 5
 
 
 # ------------------------------------------------------------------------------------------------------------ paths

@@ -13,8 +13,9 @@ pytest.importorskip("stable_baselines3")
 
 import torch
 
-from fovconn_env.baselines import find_policy
+from fovconn_env.baselines import find_pilot
 from fovconn_env.errors import SettingError
+from fovconn_env.flights.truth import read_truth
 from fovconn_env.training.evaluation.interruption import Interrupted
 from fovconn_env.training.learn.curriculum import LEAST, Curriculum
 from fovconn_env.training.learn.dagger import Dagger, DaggerSettings
@@ -38,7 +39,7 @@ WEIGHTS = [1.0, 2.0, 1.0, 1.0]
 
 def dagger(**changes):
     settings = DaggerSettings(n_worlds=4, n_steps=8, every=2, n_updates=2, batch=16, capacity=300, frontier=0.5)
-    teachers = ["cohesive", "springs", "follow", "expert"]
+    teachers = ["cohesive", "springs", "informed:follow", "informed:cohesive"]
     settings = dataclasses.replace(settings, **changes)
     return Dagger(TASKS, 3, settings, SMALL, weights=WEIGHTS, teachers=teachers, n_threads=1)
 
@@ -95,11 +96,15 @@ def test_each_row_is_labelled_by_the_teacher_of_what_it_flies():
         algorithm.fly(algorithm.generator(), beta=1.0)
         algorithm.iteration += 1
     rows, labels = algorithm.rows, algorithm.labels()
-    flat = rows.flat(slice(None))
-    for row, k in enumerate(rows.flown()):
-        law = find_policy(algorithm.teachers[k])(TASKS[k])
-        wanted = law.decide(flat[row : row + 1])[0] / rows.gains[k]
-        np.testing.assert_array_equal(labels[row], wanted.astype(np.float32))
+    flat, row = rows.flat(slice(None)), 0
+    for team in rows.teams:
+        for b, k in enumerate(team.flown):
+            law = find_pilot(algorithm.teachers[k])(TASKS[k])
+            simulator, those = team.simulator_of(b), slice(row, row + team.n_agents)
+            asked = law.decide(read_truth(simulator))[b] if k > 1 else law.decide(flat[those])
+            np.testing.assert_array_equal(labels[those], np.float32(asked / rows.gains[k]))
+            row = those.stop
+    assert {0, 1, 2, 3} == set(rows.flown())
 
 
 def test_a_fleet_of_shares_flies_the_units_of_what_was_drawn():
@@ -143,7 +148,8 @@ def test_success_is_that_of_the_scenario_that_was_flown():
     ({"teachers": ["cohesive"]}, "teachers must be 4 names, got 1: one a scenario"),
     ({"teachers": ["recovery"] * 4}, "teacher must be a policy without a memory, got 'recovery'"),
     ({"teachers": ["expert-flooding"] * 4}, "teacher must be a policy that flies with any equipment, got 'expert-fl"),
-    ({"teachers": ["oracle-planner"] * 4}, "policy must act by observations, got 'oracle-planner'"),
+    ({"teachers": ["oracle-planner"] * 4}, "teacher must be a policy without a memory, got 'oracle-planner'"),
+    ({"teachers": ["informed:adaptive"] * 4}, "informed: must be followed by a policy without a memory, got 'adap"),
     ({"weights": [1, 1]}, "weights must be 4 numbers, one a scenario"),
 ])  # fmt: skip
 def test_what_cannot_be_taught(options, message):

@@ -2,7 +2,8 @@
 
 fly -> label -> aggregate -> regress. In each iteration the worlds fly on, by the law in a share beta of the episodes
 and by the network in the others; every few steps the rows go into a buffer with what the law would do there; then the
-network learns from the buffer. It is SB3's `ActorCriticPolicy` of a PPO model, so that PPO continues from it.
+network learns from the buffer. It is SB3's `ActorCriticPolicy` of a PPO model, so that PPO continues from it. A teacher
+may know more than the learner: `informed:cohesive` acts by the truth, and the network by what a robot observes.
 """
 
 from __future__ import annotations
@@ -10,18 +11,20 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
 from fovconn_env import Scenario
-from fovconn_env.baselines import Policy, find_policy
+from fovconn_env.baselines import Policy, TeamOracle, find_pilot
 from fovconn_env.baselines.learned.cards import BASES
 from fovconn_env.baselines.learned.inputs import ACTION
 from fovconn_env.bounds import check_numbers, fraction, positive, setting
 from fovconn_env.errors import rule
 from fovconn_env.fields import check_array
+from fovconn_env.flights.truth import read_truth
 from fovconn_env.training.learn.checkpoints import below, check_like
 from fovconn_env.training.learn.curriculum import Curriculum
 from fovconn_env.training.learn.learning import Algorithm
@@ -66,7 +69,7 @@ class Dagger(Algorithm):
         teachers: Sequence[str] = (),
         n_threads: int | None = None,
     ) -> None:
-        """weights: as of `Rows`; teachers: a policy's name for each scenario, by default the law of the settings."""
+        """weights: as of `Rows`; teachers: a pilot's name for each scenario, by default the law of the settings."""
         s, network = settings or DaggerSettings(), (network or Network()).deviating(-2.0)
         self.curriculum = Curriculum(weights, s.frontier, len(scenarios))
         self.rows = Rows(scenarios, s.n_worlds, weights=self.curriculum.weights, n_threads=n_threads)
@@ -113,7 +116,13 @@ class Dagger(Algorithm):
         """The law's actions for every row, in the network's units."""
         wanted = np.zeros((self.rows.num_envs, ACTION), np.float32)
         for k, rows in self.rows.parts:
-            wanted[rows] = self.laws[k].decide(self.rows.flat(rows)) / self.rows.gains[k]
+            law = self.laws[k]
+            if isinstance(law, TeamOracle):
+                simulator, places = self.rows.flies(k, rows)
+                asked = law.decide(read_truth(simulator)).reshape(-1, ACTION)[places]
+            else:
+                asked = law.decide(self.rows.flat(rows))
+            wanted[rows] = asked / self.rows.gains[k]
         return wanted
 
     def redraw(self, rng: np.random.Generator, ended: np.ndarray, beta: float) -> None:
@@ -162,9 +171,9 @@ class Dagger(Algorithm):
         self.seen[: self.filled], self.wanted[: self.filled] = seen, wanted
 
 
-def teacher(name: str) -> type[Policy]:
-    """The class of a policy that can be imitated row by row; `SettingError` for one with a memory or own equipment."""
-    kind = find_policy(name)
+def teacher(name: str) -> type[Policy | TeamOracle]:
+    """The class of a pilot that can be asked at any state; `SettingError` for one with a memory or own equipment."""
+    kind: Any = find_pilot(name)
     rule(not kind.has_memory, "teacher", "a policy without a memory", name, "rows are labelled now and then")
     rule(not kind.overrides, "teacher", "a policy that flies with any equipment", name, f"it needs {kind.overrides}")
     return kind

@@ -94,6 +94,11 @@ class Rows(RobotsVecEnv):
         width = self.observations.shape[1] - self.extra
         return np.ascontiguousarray(self.observations[rows, :width])
 
+    def flies(self, k: int, rows: slice | np.ndarray) -> tuple[Simulator, np.ndarray]:
+        """The simulator of scenario k, and the places of some rows that fly it among its robots."""
+        team = next(team for team in self.teams if k in team.numbers)
+        return team.simulators[team.numbers.index(k)], np.arange(self.num_envs)[rows] - team.rows.start
+
     def _parts(self) -> list[tuple[int, slice | np.ndarray]]:
         """The number of each scenario that is flown now, and the rows that fly it."""
         parts: list[tuple[int, slice | np.ndarray]] = []
