@@ -69,7 +69,7 @@ class Policy(Pilot):
     A subclass implements `decide` and uses the observation alone. A policy with a memory implements `reset`.
     """
 
-    has_memory: ClassVar[bool] = False  # becomes True in a subclass that implements `reset`
+    has_memory: bool = False  # becomes True in a subclass that implements `reset`; a file may say it of an instance
 
     _trusted: ClassVar[bool] = True  # of this package, so that what it declares is right
     _robots: Mapping[str, Any] = {}  # a copy of the policy for each robot called by name

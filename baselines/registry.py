@@ -9,6 +9,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from fovconn_env.baselines import adapters
+from fovconn_env.baselines.adapters.model import Model
 from fovconn_env.baselines.function import Function, FunctionPolicy, from_function
 from fovconn_env.baselines.laws.ablations import AllSeeing, BothLook, Flooding, NoYaw, Omni, Oracle
 from fovconn_env.baselines.laws.adaptive import Adaptive
@@ -61,11 +63,12 @@ def load_policy(name: Named, env: Any) -> Policy:
 def find_policy(name: Named) -> type[Policy]:
     """The class of a policy in `POLICIES`, or of your own: "file.py:Class", "package.module:Class", "file.safetensors".
 
-    In the place of a class may stand a function that maps flat observations (R, D) to actions (R, 4). The name may be
-    left out where a file defines one policy alone, or a function `act`. A filter's name before any of these, as in
+    What another library has trained is one by its file: "model.zip" of Stable-Baselines3 (`adapters`). In the place
+    of a class may stand a function that maps flat observations (R, D) to actions (R, 4). The name may be left out where
+    a file defines one policy alone, or a function `act`. A filter's name before any of these, as in
     "lambda2-cbf:follow", puts the filter on it. A class or a function itself is taken as well, and a path. Raises
-    `SettingError` for an unknown name, a missing file or class, and a `TeamOracle`, which sees no observations; and
-    `PolicyError` for code that does not load.
+    `SettingError` for an unknown name, a missing file or class, and a `TeamOracle`, which sees no observations;
+    `PolicyError` for code that does not load; and `MissingPackage` for a model whose library is not installed.
     """
     kind = find_pilot(name)
     if issubclass(kind, Policy):
@@ -93,10 +96,13 @@ def find_pilot(name: Named) -> type[Pilot]:
     if name.endswith(SUFFIX):
         _check_file(name, name)
         return from_file(Path(name))
+    if Path(name).suffix in adapters.SUFFIXES:
+        _check_file(name, name)
+        return adapters.from_path(Path(name))
     place, wanted = (name, "") if name.endswith(".py") or ":" not in name else name.rsplit(":", 1)
     if not place.endswith(".py") and not wanted:
         near = difflib.get_close_matches(name, [*POLICIES, *ORACLES], n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]!r}?" if near else "your own is file.py:Class or file.safetensors"
+        hint = f"did you mean {near[0]!r}?" if near else "your own is file.py:Class, file.safetensors or model.zip"
         raise SettingError(f"policy must be one of {', '.join(POLICIES)}, or file.py:Class, got {name!r}: {hint}")
     module = _module(place, name)
     mine = {key: value for key, value in vars(module).items() if getattr(value, "__module__", None) == module.__name__}
@@ -121,6 +127,8 @@ def source_files(kind: type[Pilot]) -> list[Path]:
         files += files_of(each.__module__)
     if issubclass(kind, Learned) and hasattr(kind, "file"):
         files += [kind.file, kind.file.with_suffix(".json")]
+    if issubclass(kind, Model) and hasattr(kind, "file"):
+        files += kind.files()
     if issubclass(kind, (Filtered, Informed)):
         files += source_files(kind.inner)
     if issubclass(kind, FunctionPolicy):

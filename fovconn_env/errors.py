@@ -51,7 +51,7 @@ EXTRAS = {
     "zenoh": "zenoh",
     "cyclonedds": "dds",
     **dict.fromkeys(("ray", "yaml"), "cluster"),
-    **dict.fromkeys(("torch", "stable_baselines3", "tensorboard", "tqdm"), "learn"),
+    **dict.fromkeys(("torch", "stable_baselines3", "sb3_contrib", "tensorboard", "tqdm"), "learn"),
 }
 
 

@@ -28,6 +28,7 @@ class Filtered(Policy):
         """settings: the filter's."""
         super().__init__(scenario)
         self.policy = self.inner(scenario)
+        self.has_memory = self.policy.has_memory
         self.filter = type(self).make_filter(scenario, settings)
 
     @classmethod

@@ -1,6 +1,9 @@
 """The examples with the libraries they are for: `make test-integrations`. Skipped where the library is missing."""
 
 import importlib.util
+import re
+import shlex
+import subprocess
 import sys
 import warnings
 from pathlib import Path
@@ -8,7 +11,8 @@ from types import ModuleType
 
 import numpy as np
 
-EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "docs" / "examples"
 SHORT = {"warmup": 0.1, "max_cycles": 8}  # settings of a scenario: episodes of 8 steps, ended by time
 
 
@@ -34,3 +38,18 @@ def assert_learned(before: np.ndarray, after: np.ndarray) -> None:
     assert before.shape == after.shape
     assert np.isfinite(after).all()
     assert (before != after).mean() > 0.5
+
+
+def commands_of(title: str, word: str, page: str = "policies") -> list[str]:
+    """Calls of fovconn in the shell blocks of a section of a page, those with a word in them."""
+    text = (ROOT / "docs" / f"{page}.md").read_text("utf-8")
+    section = text.partition(f"\n## {title}\n")[2].partition("\n## ")[0]
+    blocks = re.findall(r"^```sh\n(.*?)^```$", section, re.DOTALL | re.MULTILINE)
+    lines = [line.partition("  #")[0] for block in blocks for line in block.splitlines()]
+    return [line for line in lines if line.startswith("fovconn ") and word in line]
+
+
+def fovconn(line: str, folder: Path) -> subprocess.CompletedProcess:
+    """Run a line as typed in a folder, in a process of its own."""
+    words = [sys.executable, "-m", "fovconn_env.training.cli", *shlex.split(line)[1:]]
+    return subprocess.run(words, cwd=folder, capture_output=True, text=True)

@@ -165,6 +165,8 @@ def test_a_full_disk_names_the_file_that_was_to_be_written(fovconn, monkeypatch)
 
 # ------------------------------------------------------------------------------------------------ what is not installed
 IMPORTED = {"pillow": "PIL", "pygame-ce": "pygame", "stable-baselines3": "stable_baselines3", "rerun-sdk": "rerun"}
+IMPORTED["sb3-contrib"] = "sb3_contrib"
+IMPORTED["sb3-contrib"] = "sb3_contrib"
 
 
 def test_every_package_of_an_extra_is_known():

@@ -45,7 +45,8 @@ def command(
     policies: Annotated[
         list[str] | None,
         typer.Option(
-            "--policy", help=f"Policy: {', '.join([*POLICIES, *ORACLES])}; or your own, file.py:Class. Repeatable."
+            "--policy",
+            help=f"Policy: {', '.join([*POLICIES, *ORACLES])}; or your own, file.py:Class, model.zip. Repeatable.",
         ),
     ] = None,
     scenario_names: Annotated[

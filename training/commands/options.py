@@ -20,9 +20,11 @@ OUT = Path("out")
 MOST_BYTES = 1 << 20  # of a list of scenarios
 
 ScenarioName = Annotated[str, typer.Option("--scenario", help="Scenario id: " + ", ".join(PRESETS))]
-PolicyName = Annotated[str, typer.Option("--policy", help=f"Policy: {', '.join(POLICIES)}; or file.py:Class")]
+PolicyName = Annotated[
+    str, typer.Option("--policy", help=f"Policy: {', '.join(POLICIES)}; or file.py:Class, model.zip")
+]
 PilotName = Annotated[
-    str, typer.Option("--policy", help=f"Policy: {', '.join([*POLICIES, *ORACLES])}; or file.py:Class")
+    str, typer.Option("--policy", help=f"Policy: {', '.join([*POLICIES, *ORACLES])}; or file.py:Class, model.zip")
 ]
 Settings = Annotated[
     list[str] | None,

@@ -25,7 +25,9 @@ from fovconn_env.training.evaluation.submission import left_out, save, submissio
 def command(
     policies: Annotated[
         list[str],
-        typer.Argument(metavar="POLICY...", help="A name, file.py:Class or file.safetensors; several are packed each."),
+        typer.Argument(
+            metavar="POLICY...", help="A name, file.py:Class, file.safetensors or model.zip; each is packed."
+        ),
     ],
     suites: Annotated[
         list[str] | None, typer.Option("--suite", help="Suite to fly; repeatable.  [default: hard, full]")

@@ -1,0 +1,207 @@
+"""Models of Stable-Baselines3 and of what builds on it (sb3-contrib): `model.save(file)` wrote them.
+
+To open one unpickles what stands in it: code of whoever wrote it. Needs torch and stable_baselines3.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import json
+import pickle
+import re
+import warnings
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from stable_baselines3.common.save_util import load_from_zip_file
+from stable_baselines3.common.vec_env import VecNormalize
+
+from fovconn_env.baselines.adapters.model import ROWS, Model, Shared, check_size, in_blocks
+from fovconn_env.baselines.learned.inputs import ACTION, LEADER, gain, input_size
+from fovconn_env.baselines.learned.networks import Encoder
+from fovconn_env.baselines.policy import make_class
+from fovconn_env.errors import SettingError, missing_package, rule
+from fovconn_env.files import one_line, open_file
+from fovconn_env.scenarios.scenario import Scenario
+
+OBSERVATION = "observation"  # a robot's own, in a `Dict` for asymmetric critics
+NEEDED = ("policy_class", "policy_kwargs", "observation_space", "action_space")
+OPENED = (*NEEDED, "use_sde", "_last_obs")  # of a model's fields; the others stay closed
+STATISTICS = ("vecnormalize.pkl", "vec_normalize.pkl")  # names that SB3's zoo and manual use
+
+
+class Sb3Policy(Model):
+    """A model of Stable-Baselines3, without exploration, as trained on `make_vec_env` or by `fovconn train`."""
+
+    has_memory = False  # unless the network is a recurrent one
+    _memory: tuple[np.ndarray, ...] = ()  # (R, ...) each
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Raises `SettingError` for what is no such model, cannot be opened here, or was made for other spaces."""
+        super().__init__(scenario)
+        file, data, weights = self.file, *read(self.file)
+        extra = extra_columns(data)
+        self._gain = np.ones(ACTION, np.float32) if extra is None else gain(scenario)
+        self._size = scenario.observation_size if extra is None else input_size(scenario)
+        self._check_spaces(data, extra)
+        self._as_dict = isinstance(data["observation_space"], spaces.Dict)
+        self._mean, self._deviation, self._bound = self._statistics(data)
+        self._network = Shared(build(file, data, weights))
+        self._blank = self._start()
+        self.has_memory = bool(self._blank)
+
+    @classmethod
+    def files(cls) -> list[Path]:
+        """The model, and beside it the statistics of `VecNormalize`, if there are any."""
+        return [cls.file, *statistics(cls.file)[:1]]
+
+    def reset(self, mask: npt.ArrayLike | None = None) -> None:
+        """Forget the states of a recurrent network."""
+        if mask is None:
+            self._memory = ()
+        for part in self._memory:
+            part[np.ravel(np.asarray(mask, bool))] = 0.0
+
+    def decide(self, flat: np.ndarray) -> np.ndarray:
+        """Actions (R, 4) for flat observations (R, D)."""
+        rows = np.clip((flat[:, : self._size] - self._mean) / self._deviation, -self._bound, self._bound)
+        if self.has_memory and not self._memory:
+            self._memory = tuple(np.repeat(part, len(flat), axis=0) for part in self._blank)
+        actions, *memory = in_blocks(self._predict, ROWS, rows.astype(np.float32), *self._memory)
+        self._memory = tuple(memory)
+        return np.clip(actions * self._gain, -1.0, 1.0)
+
+    def _predict(self, rows: np.ndarray, *memory: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Actions and states of some robots; SB3 has the robots of a state in its second axis."""
+        state = tuple(part.swapaxes(0, 1) for part in memory) or None
+        seen = {OBSERVATION: rows} if self._as_dict else rows
+        actions, after = self._network.held.predict(seen, state, deterministic=True)
+        return actions, *(part.swapaxes(0, 1) for part in after or ())
+
+    def _start(self) -> tuple[np.ndarray, ...]:
+        """The state of one robot before its first step, () without one. `SettingError` if the network needs more."""
+        try:
+            _, *states = self._predict(np.zeros((ROWS, self._size), np.float32))
+        except KeyError as problem:
+            got = f"{self.file} must fly by {OBSERVATION!r} alone, got a need for {problem}: its actor sees more, which"
+            raise SettingError(f"{got} fovconn_env.training.sb3.AsymmetricPolicy shows the critic alone") from problem
+        return tuple(np.zeros_like(part[:1]) for part in states)
+
+    def _check_spaces(self, data: Mapping[str, Any], extra: int | None) -> None:
+        """`SettingError` for a model of other observations or actions than the scenario's."""
+        seen, actions = data["observation_space"], data["action_space"]
+        if isinstance(seen, spaces.Dict):
+            hint = "make_vec_env has flat observations, with state=True a Dict of them and the true state"
+            rule(OBSERVATION in seen.spaces, f"observations of {self.file}", "flat", list(seen.spaces), hint)
+            seen = seen[OBSERVATION]
+        hint = "fly the NAME.safetensors beside it, which is the same network with its law"
+        rule(not extra, f"{self.file}", "a model that acts alone", "a correction of a law", hint)
+        check_size(self.file, seen.shape, self._size)
+        box = isinstance(actions, spaces.Box) and actions.shape == (ACTION,)
+        shares = box and (extra is not None or bool((actions.low == -1.0).all() and (actions.high == 1.0).all()))
+        hint = "vx, vy, vz and yaw rate as shares, as in make_vec_env"
+        rule(shares, f"actions of {self.file}", f"Box(-1, 1, ({ACTION},))", str(actions), hint)
+
+    def _statistics(self, data: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray, float]:
+        """Mean and deviation that observations are normalised by, and the bound of what comes out.
+
+        A model does not say that it was trained with `VecNormalize`. The last observations that it saw do, as
+        `is_leader` is 0 or 1 in others.
+        """
+        last, files = data.get("_last_obs"), statistics(self.file)
+        last = last.get(OBSERVATION) if isinstance(last, dict) else last
+        normal = None
+        if isinstance(last, np.ndarray) and last.ndim == 2 and last.shape[1] >= self._size:
+            normal = not np.isin(last[:, LEADER], (0.0, 1.0)).all()
+        hint = f"save VecNormalize's statistics beside it, as {' or '.join(STATISTICS)}"
+        rule(not normal or bool(files), f"{self.file}", "a model of observations as they are", "normalised ones", hint)
+        if normal is False or not files:
+            return np.zeros(1, np.float32), np.ones(1, np.float32), np.inf
+        with files[0].open("rb") as stream:
+            loaded = opened(files[0], lambda: pickle.load(stream))
+        rule(isinstance(loaded, VecNormalize), f"{files[0]}", "statistics of VecNormalize", type(loaded).__name__, hint)
+        moments: Any = loaded.obs_rms[OBSERVATION] if isinstance(loaded.obs_rms, dict) else loaded.obs_rms
+        check_size(files[0], moments.mean.shape, self._size)
+        return moments.mean, np.sqrt(moments.var + loaded.epsilon), loaded.clip_obs
+
+
+def extra_columns(data: Mapping[str, Any]) -> int | None:
+    """How many numbers a model that `fovconn train` made reads of a base law, 0 without one; None for any other model.
+
+    Ours act in a network's units (`learn.rows.Rows`), others in shares. Only ours say this number.
+    """
+    options = data["policy_kwargs"]
+    kind, words = options.get("features_extractor_class"), options.get("features_extractor_kwargs") or {}
+    return words.get("extra") if isinstance(kind, type) and issubclass(kind, Encoder) else None
+
+
+def from_file(file: Path) -> type[Sb3Policy]:
+    """The policy class of a model's file, which is opened by the first instance."""
+    return _from_file(file, file.stem)
+
+
+@functools.cache  # one class, also for what was pickled
+def _from_file(file: Path, name: str) -> type[Sb3Policy]:
+    return make_class(name, Sb3Policy, {"file": file, "__doc__": Sb3Policy.__doc__}, _from_file, file, name)
+
+
+def statistics(file: Path) -> list[Path]:
+    """Statistics of `VecNormalize` beside a model, the likeliest first.
+
+    SB3's CheckpointCallback writes x_vecnormalize_100_steps.pkl beside x_100_steps.zip, its zoo NAME/vecnormalize.pkl.
+    """
+    own = re.sub(r"_(\d+)_steps$", r"_vecnormalize_\1_steps", file.stem)
+    names = [f"{own}.pkl"] if own != file.stem else [*STATISTICS, f"{file.stem}/{STATISTICS[0]}"]
+    return [place for place in map(file.parent.joinpath, names) if place.is_file()]
+
+
+def read(file: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The fields of a model that are needed to fly it, and its weights; raises as `Sb3Policy`."""
+    where = "model of Stable-Baselines3"
+    with open_file(file, where) as stream:
+        try:
+            with zipfile.ZipFile(stream) as archive:
+                fields = json.loads(archive.read("data"))
+        except (zipfile.BadZipFile, KeyError, ValueError) as problem:
+            got = f"{file} must be a {where}, got {one_line(problem)}"
+            raise SettingError(f"{got}: model.save(file) writes one") from problem
+    closed = dict.fromkeys(set(fields) - set(OPENED))
+    data, weights, _ = opened(file, lambda: load_from_zip_file(file, device="cpu", custom_objects=closed))
+    missing = [name for name in NEEDED if data.get(name) is None] + ["policy"] * ("policy" not in weights)
+    rule(not missing, f"{file}", f"a {where}", f"none of {', '.join(missing)}", "saved by another version?")
+    return data, weights
+
+
+def build(file: Path, data: Mapping[str, Any], weights: Mapping[str, Any]) -> Any:
+    """The network of a model, as its algorithm makes it."""
+    options = {name: value for name, value in data["policy_kwargs"].items() if name != "device"}
+    if data.get("use_sde"):
+        options["use_sde"] = True
+    spaces_of, kind = (data["observation_space"], data["action_space"]), data["policy_class"]
+    third = list(inspect.signature(kind).parameters)[2:3]
+    rate = (lambda _: 0.0,) if third in (["lr_schedule"], ["args"]) else ()  # ARS has none
+    network = opened(file, lambda: kind(*spaces_of, *rate, **options))
+    opened(file, lambda: network.load_state_dict(weights["policy"]))
+    network.set_training_mode(False)
+    return network
+
+
+def opened(file: Path, load: Any) -> Any:
+    """What `load` gives; its errors, which a file of others may raise, become a `SettingError`."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of other versions; what was not read is missing
+            return load()
+    except ModuleNotFoundError as problem:
+        hint = "its code must be found: PYTHONPATH=FOLDER, or install it"
+        known = missing_package(f"policy {str(file)!r}", problem)
+        raise known or SettingError(f"{file} must load, got no module {problem.name!r}: {hint}") from problem
+    except Exception as problem:
+        got = f"{type(problem).__name__}: {one_line(problem)}"
+        raise SettingError(f"{file} must load, got {got}: was it saved by another version?") from problem
