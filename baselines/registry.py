@@ -96,7 +96,7 @@ def find_pilot(name: Named) -> type[Pilot]:
     if name.endswith(SUFFIX):
         _check_file(name, name)
         return from_file(Path(name))
-    if Path(name).suffix in adapters.SUFFIXES:
+    if Path(name).suffix in adapters.KINDS:
         _check_file(name, name)
         return adapters.from_path(Path(name))
     place, wanted = (name, "") if name.endswith(".py") or ":" not in name else name.rsplit(":", 1)

@@ -51,6 +51,7 @@ EXTRAS = {
     "zenoh": "zenoh",
     "cyclonedds": "dds",
     **dict.fromkeys(("ray", "yaml"), "cluster"),
+    **dict.fromkeys(("onnx", "onnxruntime"), "onnx"),
     **dict.fromkeys(("torch", "stable_baselines3", "sb3_contrib", "tensorboard", "tqdm"), "learn"),
 }
 

@@ -13,6 +13,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 HEAVY = {"PIL", "av", "jinja2", "matplotlib", "pyarrow", "pygame", "ray", "rich", "stable_baselines3", "torch", "typer"}
+HEAVY |= {"onnx", "onnxruntime"}
 
 
 def test_importing_the_environment_loads_nothing_heavy():
@@ -75,7 +76,7 @@ def test_no_module_needs_what_linux_alone_has():
                     found += 1
                 except ModuleNotFoundError as problem:
                     missing = problem.name.partition(".")[0]
-                    allowed = "learn", "rerun", "zenoh", "dds", "cluster", "benchmarl"
+                    allowed = "learn", "rerun", "zenoh", "dds", "cluster", "onnx", "benchmarl"
                     assert EXTRAS.get(missing, missing) in allowed, problem
         print(found)
     """

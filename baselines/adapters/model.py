@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar, Generic, Self, TypeVar
@@ -10,7 +11,8 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 import numpy as np
 
 from fovconn_env.baselines.policy import Policy
-from fovconn_env.errors import rule
+from fovconn_env.errors import SettingError, missing_package, rule
+from fovconn_env.files import one_line
 
 ROWS = 64  # in each call of a library: how it sums depends on the number of rows
 
@@ -61,3 +63,18 @@ def in_blocks(run: Callable[..., tuple[np.ndarray, ...]], size: int, *arrays: np
     full = [np.concatenate([each, np.zeros((-count % size, *each.shape[1:]), each.dtype)]) for each in arrays]
     parts = [run(*(each[first : first + size] for each in full)) for first in range(0, count, size)]
     return tuple(np.concatenate(part)[:count] for part in zip(*parts, strict=True))
+
+
+def opened(file: Path, load: Callable[[], Any]) -> Any:
+    """What `load` gives; its errors, which a file of others may raise, become a `SettingError`."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of other versions; what was not read is missing
+            return load()
+    except ModuleNotFoundError as problem:
+        hint = "its code must be found: PYTHONPATH=FOLDER, or install it"
+        known = missing_package(f"policy {str(file)!r}", problem)
+        raise known or SettingError(f"{file} must load, got no module {problem.name!r}: {hint}") from problem
+    except Exception as problem:
+        got = f"{type(problem).__name__}: {one_line(problem)}"
+        raise SettingError(f"{file} must load, got {got}: was it saved by another version?") from problem

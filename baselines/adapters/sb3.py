@@ -5,12 +5,10 @@ To open one unpickles what stands in it: code of whoever wrote it. Needs torch a
 
 from __future__ import annotations
 
-import functools
 import inspect
 import json
 import pickle
 import re
-import warnings
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,11 +20,10 @@ from gymnasium import spaces
 from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.vec_env import VecNormalize
 
-from fovconn_env.baselines.adapters.model import ROWS, Model, Shared, check_size, in_blocks
+from fovconn_env.baselines.adapters.model import ROWS, Model, Shared, check_size, in_blocks, opened
 from fovconn_env.baselines.learned.inputs import ACTION, LEADER, gain, input_size
 from fovconn_env.baselines.learned.networks import Encoder
-from fovconn_env.baselines.policy import make_class
-from fovconn_env.errors import SettingError, missing_package, rule
+from fovconn_env.errors import SettingError, rule
 from fovconn_env.files import one_line, open_file
 from fovconn_env.scenarios.scenario import Scenario
 
@@ -141,16 +138,6 @@ def extra_columns(data: Mapping[str, Any]) -> int | None:
     return words.get("extra") if isinstance(kind, type) and issubclass(kind, Encoder) else None
 
 
-def from_file(file: Path) -> type[Sb3Policy]:
-    """The policy class of a model's file, which is opened by the first instance."""
-    return _from_file(file, file.stem)
-
-
-@functools.cache  # one class, also for what was pickled
-def _from_file(file: Path, name: str) -> type[Sb3Policy]:
-    return make_class(name, Sb3Policy, {"file": file, "__doc__": Sb3Policy.__doc__}, _from_file, file, name)
-
-
 def statistics(file: Path) -> list[Path]:
     """Statistics of `VecNormalize` beside a model, the likeliest first.
 
@@ -190,18 +177,3 @@ def build(file: Path, data: Mapping[str, Any], weights: Mapping[str, Any]) -> An
     opened(file, lambda: network.load_state_dict(weights["policy"]))
     network.set_training_mode(False)
     return network
-
-
-def opened(file: Path, load: Any) -> Any:
-    """What `load` gives; its errors, which a file of others may raise, become a `SettingError`."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of other versions; what was not read is missing
-            return load()
-    except ModuleNotFoundError as problem:
-        hint = "its code must be found: PYTHONPATH=FOLDER, or install it"
-        known = missing_package(f"policy {str(file)!r}", problem)
-        raise known or SettingError(f"{file} must load, got no module {problem.name!r}: {hint}") from problem
-    except Exception as problem:
-        got = f"{type(problem).__name__}: {one_line(problem)}"
-        raise SettingError(f"{file} must load, got {got}: was it saved by another version?") from problem

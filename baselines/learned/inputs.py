@@ -19,6 +19,9 @@ EMPHASIS = 2  # extra columns of the own row, see `networks.emphasis`
 LAMBDA2 = [column.name for column in layout.SELF].index("lambda2_hat")
 LEADER = [column.name for column in layout.SELF].index("is_leader")
 SHARE = 0.3  # factor of a sum over rows: three rows give about one
+# Names in a policy's ONNX file, see `graph`: of inputs and output, and of settings that make velocities of shares
+OBSERVATIONS, BASE, ACTIONS = "observations", "base_actions", "actions"
+SPEEDS = ("stick_speed", "speed_limit", "yaw_rate_limit")
 
 # Bounds of the layout by scale, and narrower ones of some columns. Constants: the same for all N and scenarios.
 _BOUNDS = {**Scenario().scales(), "lambda2": 3.0, "speed": 1.5, "turn": 1.0}

@@ -9,11 +9,11 @@ from fovconn_env.baselines import adapters, find_policy
 from fovconn_env.errors import EXTRAS, MissingPackage, SettingError
 from fovconn_env.training.cluster.flights import _parts
 
-LIBRARIES = {".zip": ("torch", "stable_baselines3")}
+LIBRARIES = {".zip": ("torch", "stable_baselines3"), ".onnx": ("onnxruntime",)}
 
 
 def test_every_kind_of_file_is_looked_at():
-    assert LIBRARIES.keys() == adapters.SUFFIXES.keys()
+    assert LIBRARIES.keys() == adapters.KINDS.keys()
 
 
 @pytest.mark.parametrize("suffix", LIBRARIES)
@@ -24,7 +24,7 @@ def test_a_missing_library_is_told_with_its_extra(suffix, tmp_path, monkeypatch)
         find_policy(file)
     file.touch()
     for name in list(sys.modules):
-        if name.startswith("fovconn_env.baselines.adapters.") and name.endswith(adapters.SUFFIXES[suffix]):
+        if name.startswith("fovconn_env.baselines.adapters.") and name.endswith(adapters.KINDS[suffix][0]):
             monkeypatch.delitem(sys.modules, name)
     for name in LIBRARIES[suffix]:
         monkeypatch.setitem(sys.modules, name, None)

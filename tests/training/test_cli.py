@@ -25,7 +25,7 @@ from tests import reference as ref
 ROOT = Path(__file__).parents[2]
 COMMANDS = {"eval": "--scenario", "demo": "--scenario", "bench": "--scenario", "figures": "--ablations"}
 COMMANDS |= {"replay": "--out", "play": "--scenario", "list": "--help", "submit": "--suite", "leaderboard": "--draw"}
-COMMANDS |= {"fleet": "--transport", "robot": "--connect"}
+COMMANDS |= {"fleet": "--transport", "robot": "--connect", "export": "--scenario"}
 TINY = ("--set", "n_agents=3", "--set", "max_cycles=40", "--set", "warmup=0.5")
 
 

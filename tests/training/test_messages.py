@@ -171,7 +171,7 @@ IMPORTED["sb3-contrib"] = "sb3_contrib"
 
 def test_every_package_of_an_extra_is_known():
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
-    for extra in ("cli", "render", "export", "rerun", "learn"):
+    for extra in ("cli", "render", "export", "rerun", "onnx", "learn"):
         packages = {re.match(r"[\w-]+", line)[0] for line in extras[extra]} - {"fovconn-env"}
         assert {IMPORTED.get(name, name) for name in packages} == {name for name in EXTRAS if EXTRAS[name] == extra}
 

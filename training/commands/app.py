@@ -20,6 +20,7 @@ from fovconn_env.training.commands import (
     bench,
     demo,
     evaluate,
+    export,
     figures,
     fleet,
     leaderboard,
@@ -45,6 +46,7 @@ app = typer.Typer(
 _COMMANDS = {
     "list": listing,
     "eval": evaluate,
+    "export": export,
     "demo": demo,
     "play": play,
     "replay": replay,

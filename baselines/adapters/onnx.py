@@ -1,0 +1,105 @@
+"""Models in ONNX, whatever library made them, run by onnxruntime. `learned.graph` writes those of this package.
+
+To open one runs no code of the file. Needs onnxruntime.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import onnxruntime
+
+from fovconn_env.baselines.adapters.model import ROWS, Model, check_size, in_blocks, opened
+from fovconn_env.baselines.learned.cards import BASES
+from fovconn_env.baselines.learned.inputs import ACTION, ACTIONS, BASE, SPEEDS, fingerprint
+from fovconn_env.errors import rule
+from fovconn_env.files import read_file
+from fovconn_env.scenarios.scenario import Scenario
+
+MAX_BYTES = 1 << 28  # of a file; one of ours has 130 kB
+
+
+class OnnxPolicy(Model):
+    """A model with one input, observations (R, D) float32, and an output of actions (R, 4), shares in [-1, 1].
+
+    What `fovconn export` wrote says for which speeds it is made, and of a correction the law, which flies with it.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Raises `SettingError` for what is no such model, and for one that is made for another scenario."""
+        super().__init__(scenario)
+        self._session = Session(self.file)
+        told = self._session.metadata
+        for name in SPEEDS:
+            stated, mine = told.get(name), repr(float(getattr(scenario, name)))
+            hint = "fovconn export makes it for the scenario that --scenario and --set say"
+            rule(stated in (None, mine), f"{name} of {self.file}", f"{mine} as the scenario's", stated, hint)
+        meaning, mine = told.get("inputs"), fingerprint()
+        hint = "columns, units or scales are others since; export it anew"
+        rule(meaning in (None, mine), f"inputs of {self.file}", f"{mine}, as this version has them", meaning, hint)
+        law = told.get("base") if BASE in self._session.inputs else None
+        rule(law is None or law in BASES, f"base of {self.file}", f"one of {', '.join(BASES)}", law, "written by hand?")
+        self._law = BASES[law](scenario) if law else None
+        self._rows = self._check_inputs()
+        self._output = self._session.output(ACTIONS)
+        blank = [np.zeros((self._rows, size), np.float32) for size in (scenario.observation_size, ACTION)]
+        (actions,) = opened(self.file, lambda: self._run(*blank[: 1 if self._law is None else 2]))
+        shape = np.shape(actions)
+        rule(shape == (self._rows, ACTION), f"output of {self.file}", "(robots, 4)", shape, "vx, vy, vz, yaw rate")
+
+    def decide(self, flat: np.ndarray) -> np.ndarray:
+        """Actions (R, 4) for flat observations (R, D)."""
+        base = [] if self._law is None else [self._law.decide(flat)]
+        (actions,) = in_blocks(self._run, self._rows, flat, *base)
+        return np.clip(actions, -1.0, 1.0)
+
+    def _run(self, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
+        return (self._session.run(self._output, arrays),)
+
+    def _check_inputs(self) -> int:
+        """The rows that go in at a time. `SettingError` for other inputs than observations and a law's actions."""
+        inputs = self._session.inputs
+        fine = len(inputs) == (1 if self._law is None else 2) and [*inputs][1:] in ([], [BASE])
+        fine = fine and all(kind == "tensor(float)" and len(shape) == 2 for kind, shape in inputs.values())
+        got = {name: f"{kind} {shape}" for name, (kind, shape) in inputs.items()}
+        hint = "one of float32; what has a memory needs a policy of its own"
+        rule(fine, f"inputs of {self.file}", "observations (robots, columns)", got, hint)
+        rows, size = next(iter(inputs.values()))[1]
+        if isinstance(size, int):  # else a name: any
+            check_size(self.file, (size,), self.scenario.observation_size)
+        return rows if isinstance(rows, int) else ROWS
+
+
+class Session:
+    """A model that onnxruntime has opened, on one thread. Copies share it, and one that is pickled is opened again."""
+
+    def __init__(self, file: Path, data: bytes | None = None) -> None:
+        """data: what the file holds, read if not given."""
+        self._made_of = file, data or read_file(file, "ONNX model", MAX_BYTES)
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.log_severity_level = 4  # what is wrong is raised
+        words = self._made_of[1], options, ["CPUExecutionProvider"]
+        self._session = session = opened(file, lambda: onnxruntime.InferenceSession(*words))
+        self.inputs = {each.name: (each.type, each.shape) for each in session.get_inputs()}
+        self.metadata: Mapping[str, str] = session.get_modelmeta().custom_metadata_map
+
+    def output(self, name: str) -> str:
+        """The name of the output, which is the only one, or this one."""
+        names = [each.name for each in self._session.get_outputs()]
+        fine = len(names) == 1 or name in names
+        rule(fine, f"outputs of {self._made_of[0]}", f"one, or one called {name!r}", names, "which one flies?")
+        return name if name in names else names[0]
+
+    def run(self, output: str, arrays: tuple[np.ndarray, ...]) -> np.ndarray:
+        """An output for arrays in the order of the inputs."""
+        return self._session.run([output], dict(zip(self.inputs, arrays, strict=True)))[0]
+
+    def __reduce__(self) -> Any:
+        return Session, self._made_of
+
+    def __deepcopy__(self, memo: Any) -> Self:
+        return self
