@@ -119,8 +119,8 @@ def source_files(kind: type[Pilot]) -> list[Path]:
     """The files that a policy consists of, besides this package and what is installed.
 
     Of a policy of one's own: its file and the modules that it imports from beside it, from the working folder, or from
-    elsewhere outside of site-packages. Of a learned policy: its weights and their card. What the code reads by itself
-    is not known here, see `Policy.tag`.
+    elsewhere outside of site-packages. Of a learned policy: its weights and their card; of another library's model: its
+    file, and what lies beside it. What the code reads by itself is not known here, see `Policy.tag`.
     """
     files: list[Path] = []
     for each in kind.mro():
