@@ -1,12 +1,13 @@
 """A law that acts on the truth: a ceiling of what better estimates can give, and a teacher that knows more.
 
-`informed:cohesive` is `cohesive` with observations in which every number is true: lambda2 and v2, and a row for each
+`informed:cohesive` is `cohesive` with observations in which every number is true: lambda2 and v2, and a row for every
 living robot within reach of a camera that no obstacle hides, seen or not, with its true place, motion and link weight,
 of no age. It acts by the state of the moment alone, so that a learner can ask it at any state (`fovconn train dagger`).
 """
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from typing import ClassVar
 
@@ -29,7 +30,7 @@ class Informed(TeamOracle):
 
     def __init__(self, scenario: Scenario) -> None:
         super().__init__(scenario)
-        self.policy = self.inner(scenario)
+        self.policy = self.inner(dataclasses.replace(scenario, max_neighbors=max(scenario.n_agents - 1, 1)))
 
     @classmethod
     def tag(cls) -> str:
@@ -38,7 +39,7 @@ class Informed(TeamOracle):
 
     def decide(self, truth: Truth) -> np.ndarray:
         """Actions (B, N, 4)."""
-        observations = true_observations(truth, self.scenario)
+        observations = true_observations(truth, self.scenario, self.policy.scenario.max_neighbors)
         return self.policy.decide(observations.reshape(-1, observations.shape[-1])).reshape(*truth.yaw.shape, -1)
 
 
