@@ -45,7 +45,7 @@ test-fast: $(VENV)/installed-dev  ## the suite without its long statistics
 	$(PYTEST) -m "not slow" $(ARGS)
 
 test-integrations: $(addprefix $(LIBRARIES)/,$(addsuffix /installed,current older ros))  ## docs/examples, each with its library (torch, 3 GB)
-	$(LIBRARIES)/current/bin/python -m pytest tests/integrations tests/training/test_sb3.py tests/training/test_training.py tests/training/test_curriculum.py tests/training/test_sweeps.py tests/render/test_rerun.py tests/test_files.py $(ARGS)
+	$(LIBRARIES)/current/bin/python -m pytest tests/integrations tests/training/test_sb3.py tests/training/test_training.py tests/training/test_curriculum.py tests/training/test_mappo.py tests/training/test_sweeps.py tests/render/test_rerun.py tests/test_files.py $(ARGS)
 	$(LIBRARIES)/older/bin/python -m pytest tests/integrations $(ARGS)
 	$(LIBRARIES)/ros/bin/python -m pytest tests/integrations/test_ros2.py $(ARGS)
 

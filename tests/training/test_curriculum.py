@@ -21,7 +21,7 @@ from fovconn_env.training.learn.curriculum import LEAST, Curriculum
 from fovconn_env.training.learn.dagger import Dagger, DaggerSettings
 from fovconn_env.training.learn.learning import Budget, train
 from fovconn_env.training.learn.model import Network
-from fovconn_env.training.learn.ppo import PPOSettings, Team
+from fovconn_env.training.learn.ppo import Mappo, PPOSettings, Team
 from fovconn_env.training.learn.residual import Residual, ResidualSettings
 from fovconn_env.training.learn.rows import Rows
 
@@ -54,7 +54,12 @@ def residual(**changes):
     return Residual(TASKS, 3, settings, SMALL, weights=WEIGHTS, filtered=True, n_threads=1)
 
 
-MAKERS = {"dagger": dagger, "ppo": team, "residual": residual}
+def mappo(**changes):
+    settings = dataclasses.replace(PPOSettings(n_worlds=4, n_steps=8, batch=24, frontier=0.5), **changes)
+    return Mappo(TASKS, 3, settings, SMALL, n_threads=1)
+
+
+MAKERS = {"dagger": dagger, "ppo": team, "residual": residual, "mappo": mappo}
 
 
 @pytest.fixture(autouse=True, scope="module")

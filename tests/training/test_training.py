@@ -423,7 +423,7 @@ def test_the_gradient_of_ppo_is_that_of_autograd(kind, alone, seen):
     expected = {name: None if p.grad is None else p.grad.clone() for name, p in policy.named_parameters()}
 
     policy.zero_grad()
-    samples = Samples(prepare(policy, seen), actions, start, before, gain, returns)
+    samples = Samples(prepare(policy, seen), None, actions, start, before, gain, returns)
     parts = [samples.take(some) for some in np.array_split(rng.permutation(count), 3)]
     terms = sum(trained.add_gradient((actor(policy), critic(policy)), part, count, alone, 0.3) for part in parts)
     for name, parameter in policy.named_parameters():
@@ -722,6 +722,7 @@ TUNED = {
     "dagger": ("n_worlds=2", "n_steps=6", "every=2", "n_updates=2", "batch=16", "capacity=100"),
     "bc": ("n_updates=2", "batch=16"),
     "ppo": ("n_worlds=2", "n_steps=12", "batch=24"),
+    "mappo": ("n_worlds=2", "n_steps=12", "batch=24"),
     "residual": ("n_worlds=2", "n_steps=12", "batch=24", "bound=0.1"),
 }
 

@@ -141,6 +141,14 @@ COMMANDS = {
         {"start": (Start, None), "filtered": (Filtered, False)},
         lambda given: {"start": _start(given["start"]), "filtered": given["filtered"]},
     ),
+    "mappo": Command(
+        """PPO with a critic that knows the truth in training; what is trained flies by observations alone.
+
+        fovconn train mappo --scenario LeaderFollow-v0 --scenario Mix-v0 --steps 20000000 --out out/mappo
+        """,
+        {"start": (Start, None), "filtered": (Filtered, False)},
+        lambda given: {"start": _start(given["start"]), "filtered": given["filtered"]},
+    ),
     "residual": Command(
         """PPO learns a bounded correction of a law's action; the first policy is the law itself.
 

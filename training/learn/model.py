@@ -8,9 +8,11 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
+from gymnasium import spaces
 from stable_baselines3 import PPO
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.torch_layers import MlpExtractor
 from torch import nn
 
 from fovconn_env.baselines.learned.networks import ENCODERS, Inputs
@@ -19,6 +21,7 @@ from fovconn_env.baselines.learned.policy import Encoder, Head
 from fovconn_env.baselines.learned.sets import activate
 from fovconn_env.bounds import setting
 from fovconn_env.errors import check_count, rule
+from fovconn_env.training.learn.judge import EXTRA
 from fovconn_env.training.learn.rows import Rows
 
 PART = 2048  # samples that are worked on at a time
@@ -48,6 +51,24 @@ class Network:
         return dataclasses.replace(self, log_std=log_std) if self.log_std is None else self
 
 
+class Judged(ActorCriticPolicy):
+    """SB3's policy with a critic that reads other rows than the actor: `Rows.judged`. SB3 can fly it, not train it."""
+
+    def __init__(self, *args: Any, others: int, n_columns: int, **kwargs: Any) -> None:
+        """others: neighbour rows of what the critic reads; n_columns: of it."""
+        self._judge = others, n_columns
+        super().__init__(*args, **kwargs)
+
+    def _build_mlp_extractor(self) -> None:
+        super()._build_mlp_extractor()
+        others, n_columns = self._judge
+        arguments = {**self.features_extractor_kwargs, "max_neighbors": others, "extra": EXTRA}
+        space = spaces.Box(-np.inf, np.inf, (n_columns,))
+        self.vf_features_extractor = self.features_extractor_class(space, **arguments)
+        sizes = {"net_arch": self.net_arch, "activation_fn": self.activation_fn, "device": self.device}
+        self.mlp_extractor.value_net = MlpExtractor(self.vf_features_extractor.features_dim, **sizes).value_net
+
+
 def make_model(rows: Rows, network: Network, seed: int, **settings: Any) -> PPO:
     """SB3's PPO with an `ActorCriticPolicy` of ours, not trained yet; `settings` go to PPO.
 
@@ -69,7 +90,11 @@ def make_model(rows: Rows, network: Network, seed: int, **settings: Any) -> PPO:
         "log_std_init": network.log_std,
         "optimizer_kwargs": {"eps": 1e-5, "fused": True},  # eps: SB3's own
     }
-    model = PPO("MlpPolicy", rows, seed=seed, device="cpu", policy_kwargs=policy, **ours)
+    kind: Any = "MlpPolicy"
+    if rows.others:
+        kind = Judged
+        policy |= {"others": rows.others, "n_columns": rows.judged().shape[1]}
+    model = PPO(kind, rows, seed=seed, device="cpu", policy_kwargs=policy, **ours)
     model.set_logger(Logger(None, []))
     return model
 
@@ -124,8 +149,13 @@ def critic(policy: Any) -> Branch:
 
 
 def prepare(policy: Any, observations: np.ndarray) -> Inputs:
-    """What actor and critic read of observations (R, D + extra): see `networks.Encoder.prepare`."""
+    """What the actor reads of observations (R, D + extra): see `networks.Encoder.prepare`."""
     return policy.pi_features_extractor.prepare(torch.from_numpy(observations))
+
+
+def prepare_judged(policy: Any, rows: np.ndarray) -> Inputs:
+    """What the critic reads: of what the actor reads, or of `Rows.judged`."""
+    return policy.vf_features_extractor.prepare(torch.from_numpy(rows))
 
 
 def run_all(branch: Branch, inputs: Inputs) -> torch.Tensor:

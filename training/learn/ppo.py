@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -36,11 +36,13 @@ from fovconn_env.training.learn.model import (
     load_weights,
     make_model,
     prepare,
+    prepare_judged,
     run_all,
 )
 from fovconn_env.training.learn.rows import Rows
 
 CURVES = "loss", "value_loss", "kl", "from_start"
+NOTHING = Inputs(torch.zeros(0, 0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +75,7 @@ class Samples(NamedTuple):
     """What was flown, a sample a robot and step, or a part of it."""
 
     inputs: Inputs
+    judged: Inputs | None  # of a critic that reads other rows than the actor
     actions: torch.Tensor  # (S, 4)
     start: torch.Tensor  # (S, 4) mean actions of the start; (S, 0) without one
     log_prob: torch.Tensor  # (S,) of the actions, when they were flown
@@ -82,13 +85,15 @@ class Samples(NamedTuple):
     def take(self, chosen: np.ndarray) -> Samples:
         """The chosen samples, copied."""
         index = torch.from_numpy(chosen)
-        return Samples(self.inputs.take(chosen), *(tensor.index_select(0, index) for tensor in self[1:]))
+        judged = None if self.judged is None else self.judged.take(chosen)
+        return Samples(self.inputs.take(chosen), judged, *(tensor.index_select(0, index) for tensor in self[2:]))
 
 
 class Team(Algorithm):
     """See the module. `filtered`: the barrier on lambda2 is on while it trains."""
 
     name = "ppo"
+    privileged: ClassVar[bool] = False  # whether the critic knows the truth
 
     def __init__(
         self,
@@ -107,7 +112,8 @@ class Team(Algorithm):
         network = (network or Network()).deviating(-2.0 if start else -0.7)
         law = {"base": self.base, "bound": self.bound, "filtered": filtered}
         drawn = self.curriculum.weights
-        self.rows = Rows(scenarios, s.n_worlds, reward=s.reward, weights=drawn, n_threads=n_threads, **law)
+        options = {"reward": s.reward, "privileged": self.privileged, "weights": drawn, "n_threads": n_threads}
+        self.rows = Rows(scenarios, s.n_worlds, **options, **law)
         sizes = {"n_steps": s.n_steps, "n_epochs": s.n_epochs, "batch_size": s.batch}
         self.rate = s.learning_rate * (s.warm if start else 1.0)
         others = {"gamma": s.gamma, "gae_lambda": s.lam, "learning_rate": self.rate}
@@ -135,29 +141,36 @@ class Team(Algorithm):
         s, log_std, size = self.s, self.policy.log_std, (self.s.n_steps, self.rows.num_envs)
         noise, pilot = torch.randn(*size, ACTION), actor(self.policy)
         rewards, over, actions = np.empty(size, np.float32), np.empty(size, bool), log_std.exp() * noise
-        cut = []  # step, row and last observation of the flights that ended by their length alone
-        seen = [prepare(self.policy, self.rows.observations)]
+        cut = []  # step, row, and what the critic read last, of the flights that ended by their length alone
+        seen, judged = [prepare(self.policy, self.rows.observations)], [self.judged()]
         for k in range(s.n_steps):
             actions[k] += pilot.run(seen[k])[0]
             _, rewards[k], over[k], infos = self.rows.step(actions[k].numpy())
             seen.append(prepare(self.policy, self.rows.observations))
+            judged.append(self.judged())
             for row in np.flatnonzero(over[k]).tolist():
                 if infos[row]["TimeLimit.truncated"]:
-                    cut.append((k, row, infos[row]["terminal_observation"]))
+                    cut.append((k, row, self.rows.last[row] if self.privileged else infos[row]["terminal_observation"]))
         inputs = Inputs.join(seen)
-        values = self.values(inputs).reshape(s.n_steps + 1, -1)
+        read = Inputs.join(judged) if self.privileged else inputs
+        values = self.values(read).reshape(s.n_steps + 1, -1)
         if cut:
             steps, rows, last = zip(*cut, strict=True)
-            rewards[steps, rows] += s.gamma * self.values(prepare(self.policy, np.stack(last)))
+            rewards[steps, rows] += s.gamma * self.values(prepare_judged(self.policy, np.stack(last)))
         gains = advantages(rewards, values, over, s.gamma, s.lam)
         count = size[0] * size[1]
         inputs, returns = inputs.part(0, count), gains + values[:-1]
         start = torch.zeros(count, 0) if self.anchor is None else run_all(actor(self.anchor), inputs)
         flat = gaussian(noise, log_std), torch.from_numpy(gains), torch.from_numpy(returns)
-        return Samples(inputs, actions.reshape(count, ACTION), start, *(part.reshape(count) for part in flat))
+        read = read.part(0, count) if self.privileged else None
+        return Samples(inputs, read, actions.reshape(count, ACTION), start, *(part.reshape(count) for part in flat))
+
+    def judged(self) -> Inputs:
+        """What the critic reads now, where that is not what the actor reads."""
+        return prepare_judged(self.policy, self.rows.judged()) if self.privileged else NOTHING
 
     def values(self, inputs: Inputs) -> np.ndarray:
-        """The critic's values of observations, (R,)."""
+        """The critic's values of what it reads, (R,)."""
         return run_all(critic(self.policy), inputs).flatten().numpy()
 
     def update(self, flown: Samples, rng: np.random.Generator, share: float) -> dict[str, float]:
@@ -193,7 +206,7 @@ class Team(Algorithm):
         from the start. alone: the critic learns alone.
         """
         s, log_std, (pilot, judge) = self.s, self.policy.log_std, branches
-        values, kept = judge.run(part.inputs)
+        values, kept = judge.run(part.inputs if part.judged is None else part.judged)
         missed = values.flatten() - part.returns
         judge.add_gradient(kept, (2.0 * s.value / size) * missed[:, None])
         mean, kept = pilot.run(part.inputs)
@@ -231,6 +244,13 @@ class Team(Algorithm):
         self.model.num_timesteps = self.steps
         if self.anchor is not None:
             self.anchor.load_state_dict({k: torch.tensor(v) for k, v in below(arrays, "anchor").items()})
+
+
+class Mappo(Team):
+    """MAPPO (Yu et al., NeurIPS 2022): the critic knows the truth (`judge`), the actor what its robot observes."""
+
+    name = "mappo"
+    privileged = True
 
 
 def gaussian(noise: torch.Tensor, log_std: torch.Tensor) -> torch.Tensor:

@@ -18,8 +18,10 @@ from fovconn_env.baselines.learned.inputs import ACTION, check_named, gain
 from fovconn_env.baselines.learned.policy import correct_actions
 from fovconn_env.errors import rule
 from fovconn_env.flights.state_hash import frozen_dtypes
+from fovconn_env.flights.truth import read_truth
 from fovconn_env.kernel.records import State
 from fovconn_env.training.learn.checkpoints import below, check_like, check_state, check_world, generators
+from fovconn_env.training.learn.judge import judged
 from fovconn_env.training.sb3 import EPISODE_KEYS, RobotsVecEnv
 from fovconn_env.training.sb3.mix import Mix, check_weights
 from fovconn_env.training.sb3.teams import Team
@@ -35,7 +37,8 @@ class Rows(RobotsVecEnv):
     Actions are in units of `inputs.gain`: the same number is the same velocity in every scenario. With a base law, its
     actions are columns more of an observation, and an action is a correction of at most `bound` (`correct_actions`).
     `filtered` puts the barrier on lambda2 on what is flown; rewards are multiplied by `reward`; with `weights`, worlds
-    draw what they fly. An episode that ends leaves its outcome in `ended`.
+    draw what they fly. An episode that ends leaves its outcome in `ended`. `privileged` rows have what a critic reads
+    that knows the truth, see `judge`.
     """
 
     def __init__(
@@ -47,6 +50,7 @@ class Rows(RobotsVecEnv):
         bound: float = 0.0,
         filtered: bool = False,
         reward: float = 1.0,
+        privileged: bool = False,
         weights: npt.ArrayLike | None = None,
         n_threads: int | None = None,
     ) -> None:
@@ -59,6 +63,8 @@ class Rows(RobotsVecEnv):
         self._bases = [BASES[base](scenario) for scenario in scenarios] if base else []
         self._filters = [Lambda2Cbf(scenario) for scenario in scenarios] if filtered else []
         self.ended: list[dict[str, float]] = []
+        self.others = max(scenario.n_agents for scenario in scenarios) - 1 if privileged else 0  # rows of `judged`
+        self.last = np.zeros((0, 0), np.float32)  # `judged` when an episode last ended, before the reset
         self._seed = 0
         n_rows, seen = self.num_envs, self.observation_space
         assert isinstance(seen, spaces.Box)
@@ -93,6 +99,22 @@ class Rows(RobotsVecEnv):
         """The observations of some rows as the environment gave them, (R_k, D)."""
         width = self.observations.shape[1] - self.extra
         return np.ascontiguousarray(self.observations[rows, :width])
+
+    def judged(self) -> np.ndarray:
+        """What a critic that knows the truth reads of all rows, (R, D + judge.EXTRA)."""
+        parts = []
+        for k, rows in self.parts:
+            simulator, places = self.flies(k, rows)
+            seen = judged(read_truth(simulator), self.scenarios[k], self.others)
+            parts.append((rows, seen.reshape(-1, seen.shape[-1])[places]))
+        every = np.empty((self.num_envs, parts[0][1].shape[1]), np.float32)
+        for rows, seen in parts:
+            every[rows] = seen
+        return every
+
+    def _before_reset(self) -> None:
+        if self.others:
+            self.last = self.judged()
 
     def flies(self, k: int, rows: slice | np.ndarray) -> tuple[Simulator, np.ndarray]:
         """The simulator of scenario k, and the places of some rows that fly it among its robots."""

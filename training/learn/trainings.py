@@ -32,6 +32,7 @@ TRAINERS = {
     "dagger": Trainer("dagger", "Dagger", "DaggerSettings"),
     "bc": Trainer("bc", "BC", "BCSettings"),
     "ppo": Trainer("ppo", "Team", "PPOSettings"),
+    "mappo": Trainer("ppo", "Mappo", "PPOSettings"),
     "residual": Trainer("residual", "Residual", "ResidualSettings"),
 }
 

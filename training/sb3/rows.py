@@ -136,6 +136,7 @@ class RobotsVecEnv(VecEnv):
             self._split[team.worlds] |= ~team.connected()
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if dones.any():
+            self._before_reset()
             last = observations(self.teams, self.with_state)
             for row, outcome in outcomes(self.teams, self._split):
                 infos[row] = {**outcome, "terminal_observation": row_of(last, row)}
@@ -203,6 +204,9 @@ class RobotsVecEnv(VecEnv):
         return None
 
     # ------------------------------------------------------------------------------------------------------ private
+    def _before_reset(self) -> None:
+        """Some episodes are over, and their worlds as they ended: they are reset next."""
+
     def _by_row(self, values: Sequence[Any]) -> list[Any]:
         """A value a world as a value a row."""
         return [value for team in self.teams for value in values[team.worlds] for _ in range(team.n_agents)]
