@@ -86,6 +86,33 @@ def test_a_flight_is_flown_once_however_many_look_on(monkeypatch):
     assert (len(made), len(flown)) == (1, 10)
 
 
+class Reused(Plain):
+    """Writes all its actions into one array."""
+
+    def act(self, observations):
+        self.actions = getattr(self, "actions", np.zeros((*observations.shape[:2], 4)))
+        self.actions += 0.01
+        return self.actions
+
+
+class Keeper(Observer):
+    """Keeps the actions as they were handed to it."""
+
+    def __init__(self):
+        self.kept = []
+
+    def before_step(self, actions):
+        self.kept.append(actions)
+
+
+@pytest.mark.nojit
+def test_observers_may_keep_actions_that_a_policy_writes_over():
+    keeper = Keeper()
+    for _ in rollout(Reused, small(max_cycles=3, **OPEN), [3], observers=[keeper]):
+        pass
+    assert [round(float(actions.max()), 6) for actions in keeper.kept] == [0.01, 0.02, 0.03]
+
+
 def test_the_caller_may_break_off():
     recorder = Recorder()
     for simulator in rollout(Plain, small(max_cycles=50), [3], observers=[recorder]):

@@ -14,19 +14,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-ray = pytest.importorskip("ray")
+pytest.importorskip("ray")
 pytest.importorskip("typer")
 
-from ray.cluster_utils import Cluster  # noqa: E402
+import ray
+from ray.cluster_utils import Cluster
 
-from fovconn_env import scenario  # noqa: E402
-from fovconn_env.errors import PolicyError, SettingError  # noqa: E402
-from fovconn_env.training.cluster import nodes  # noqa: E402
-from fovconn_env.training.cluster.connection import LOCAL  # noqa: E402
-from fovconn_env.training.cluster.flights import runner  # noqa: E402
-from fovconn_env.training.evaluation import campaign, evaluate  # noqa: E402
-from fovconn_env.training.evaluation.campaign import fly_cells  # noqa: E402
-from fovconn_env.training.evaluation.shelf import Cell, Shelf  # noqa: E402
+from fovconn_env import scenario
+from fovconn_env.errors import PolicyError, SettingError
+from fovconn_env.training.cluster import nodes
+from fovconn_env.training.cluster.connection import LOCAL
+from fovconn_env.training.cluster.flights import runner
+from fovconn_env.training.evaluation import campaign, evaluate
+from fovconn_env.training.evaluation.campaign import fly_cells
+from fovconn_env.training.evaluation.shelf import Cell, Shelf
 
 ROOT = Path(__file__).parents[2]
 LIMIT = 120  # s, of waits for what comes soon on an idle machine

@@ -226,6 +226,11 @@ def test_worlds_draw_what_they_fly():
     assert dones.all()  # of seven steps; all drew again
     assert (env.flown() != flown).any()
     assert all("terminal_observation" in info for info in infos)
+    env.step(np.zeros((54, 4)))
+    env.reset()  # while all are under way
+    mix = env.teams[0].simulator
+    going = np.stack([~simulator.over for simulator in mix.simulators])
+    np.testing.assert_array_equal(going, mix.flown == np.arange(3)[:, None])  # a world is flown in one of them alone
     twin = make_vec_env(DRAWN, 9, 5, weights=[1, 2, 1], monitor=False, **SHORT)
     twin.reset()
     twin.step(rng.uniform(-1, 1, (54, 4)))
