@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from typing import ClassVar
 
 import numpy as np
@@ -18,6 +19,7 @@ from fovconn_env.baselines.oracles.team_oracle import TeamOracle
 from fovconn_env.baselines.policy import Policy, make_class
 from fovconn_env.errors import rule
 from fovconn_env.flights.truth import Truth
+from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.scenarios.scenario import Scenario
 
 PREFIX = "informed"
@@ -64,38 +66,72 @@ def true_observations(truth: Truth, scenario: Scenario, max_neighbors: int | Non
     flat = np.zeros((*truth.yaw.shape, layout.observation_size(count, *sizes)), np.float32)
     own, neighbors, ranges = layout.rows(flat, count, *sizes)
     own[:], ranges[:] = known.own, known.ranges
-    columns, motion = _pairs(truth), _motion(truth)
-    for name, values in motion.items():
-        own[name] = values
-    own["lambda2_hat"], own["v2_hat"] = truth.lambda2[:, None], truth.v2
-    distance, alive = columns["distance"], truth.alive
-    near = alive[:, None] & alive[:, :, None] & ~truth.hidden & (distance < scenario.camera.d_max)
-    near &= ~np.eye(alive.shape[1], dtype=bool)
-    order = np.argsort(np.where(near, distance, np.inf), axis=2, kind="stable")[..., :count]
-    used, part = np.take_along_axis(near, order, 2), neighbors[..., : order.shape[-1]]
-    columns |= {name: np.broadcast_to(values[:, None], distance.shape) for name, values in motion.items()}
-    for name, values in columns.items():
-        part[name] = np.where(used, np.take_along_axis(values, order, 2), 0.0)
-    part["present"] = part["yaw_valid"] = used
+    write_truth(truth, scenario.camera.d_max, own, neighbors)
     return flat
 
 
-def _motion(truth: Truth) -> dict[str, np.ndarray]:
-    """What a robot knows of its own motion, (B, N), by the columns' names; velocities in its yaw frame."""
-    c, s, (x, y, z) = np.cos(truth.yaw), np.sin(truth.yaw), np.moveaxis(truth.velocity, -1, 0)
-    turned = {"vx": c * x + s * y, "vy": c * y - s * x, "vz": z}
-    return turned | {"yaw_rate": truth.yaw_rate, "roll": truth.roll, "pitch": truth.pitch}
+@entry
+def write_truth(truth, reach, own, neighbors):
+    """Fill what is true and known to no robot: own rows (B, N), and neighbour rows (B, N, M), which are empty.
+
+    reach: m; the nearest robots come first.
+    """
+    for b in range(own.shape[0]):
+        for i in range(own.shape[1]):
+            me = own[b, i]
+            c, s = math.cos(truth.yaw[b, i]), math.sin(truth.yaw[b, i])
+            write_motion(me, truth, b, i, c, s)
+            me.lambda2_hat, me.v2_hat = truth.lambda2[b], truth.v2[b, i]
+            count = 0
+            for j in range(own.shape[1]):
+                if j == i or not (truth.alive[b, i] and truth.alive[b, j]) or truth.hidden[b, i, j]:
+                    continue
+                distance = distance_of(truth.position[b, i], truth.position[b, j])
+                if distance < reach:
+                    count = insert(neighbors[b, i], count, distance, j)
+            for k in range(count):
+                write_neighbor(neighbors[b, i, k], truth, b, i, c, s)
 
 
-def _pairs(truth: Truth) -> dict[str, np.ndarray]:
-    """What robot i knows of robot j, (B, N, N), by the columns' names; in i's yaw frame."""
-    offset = truth.position[:, None] - truth.position[:, :, None]  # [b, i, j] from i to j
-    distance = np.linalg.norm(offset, axis=-1)
-    x, y, z = np.moveaxis(offset / np.maximum(distance, 1e-9)[..., None], -1, 0)
-    c, s = np.cos(truth.yaw)[:, :, None], np.sin(truth.yaw)[:, :, None]
-    turn = truth.yaw[:, None] - truth.yaw[:, :, None]
-    columns = {"f_ij": truth.view, "f_ji": np.swapaxes(truth.view, 1, 2), "weight": truth.weight}
-    columns |= {"bearing_x": c * x + s * y, "bearing_y": c * y - s * x, "bearing_z": z, "distance": distance}
-    columns |= {"cos_yaw": np.cos(turn), "sin_yaw": np.sin(turn)}
-    lambda2 = np.broadcast_to(truth.lambda2[:, None, None], distance.shape)
-    return columns | {"v2_hat": np.broadcast_to(truth.v2[:, None], distance.shape), "lambda2_hat": lambda2}
+@kernel
+def insert(rows, count, distance, j):
+    """Put robot j among the first `count` rows, by distance; `present` holds its number + 1. How many there are now."""
+    k = min(count, rows.shape[0] - 1)
+    if count == rows.shape[0] and not rows[k].distance > distance:
+        return count
+    while k > 0 and rows[k - 1].distance > distance:
+        rows[k].distance, rows[k].present = rows[k - 1].distance, rows[k - 1].present
+        k -= 1
+    rows[k].distance, rows[k].present = distance, j + 1.0
+    return min(count + 1, rows.shape[0])
+
+
+@kernel
+def write_neighbor(row, truth, b, i, c, s):
+    """Fill the row of the robot whose number + 1 is in `present`, in i's yaw frame; c, s: of i's heading."""
+    j = int(row.present) - 1
+    here, there = truth.position[b, i], truth.position[b, j]
+    x, y, distance = there[0] - here[0], there[1] - here[1], max(distance_of(here, there), 1e-9)
+    cj, sj = math.cos(truth.yaw[b, j]), math.sin(truth.yaw[b, j])
+    row.present = row.yaw_valid = 1.0
+    row.f_ij, row.f_ji, row.weight = truth.view[b, i, j], truth.view[b, j, i], truth.weight[b, i, j]
+    row.bearing_x, row.bearing_y = (c * x + s * y) / distance, (c * y - s * x) / distance
+    row.bearing_z = (there[2] - here[2]) / distance
+    row.cos_yaw, row.sin_yaw = c * cj + s * sj, c * sj - s * cj
+    write_motion(row, truth, b, j, cj, sj)
+    row.v2_hat, row.lambda2_hat = truth.v2[b, j], truth.lambda2[b]
+
+
+@kernel
+def write_motion(row, truth, b, j, c, s):
+    """Fill the motion of robot j, in its own yaw frame; c, s: of its heading."""
+    x, y, z = truth.velocity[b, j]
+    row.vx, row.vy, row.vz = c * x + s * y, c * y - s * x, z
+    row.yaw_rate, row.roll, row.pitch = truth.yaw_rate[b, j], truth.roll[b, j], truth.pitch[b, j]
+
+
+@kernel
+def distance_of(a, b):
+    """Between two points (3,)."""
+    x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    return math.sqrt(x * x + y * y + z * z)
