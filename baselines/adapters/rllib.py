@@ -12,9 +12,9 @@ import torch
 from ray.rllib.core.columns import Columns
 from ray.rllib.core.rl_module.rl_module import RLModule
 
-from fovconn_env import Scenario
-from fovconn_env.baselines import Policy
+from fovconn_env.baselines.policy import Policy
 from fovconn_env.errors import rule
+from fovconn_env.scenarios.scenario import Scenario
 
 ROWS = 32  # in each call of the module, filled with zeros: how torch sums depends on the number of rows
 
