@@ -63,7 +63,7 @@ def load_policy(name: Named, env: Any) -> Policy:
 def find_policy(name: Named) -> type[Policy]:
     """The class of a policy in `POLICIES`, or of your own: "file.py:Class", "package.module:Class", "file.safetensors".
 
-    What another library has trained is one by its file: "model.zip" of Stable-Baselines3 (`adapters`). In the place
+    What another library has trained is one by its file, such as "model.zip" of Stable-Baselines3 (`adapters`). In place
     of a class may stand a function that maps flat observations (R, D) to actions (R, 4). The name may be left out where
     a file defines one policy alone, or a function `act`. A filter's name before any of these, as in
     "lambda2-cbf:follow", puts the filter on it. A class or a function itself is taken as well, and a path. Raises
@@ -96,8 +96,9 @@ def find_pilot(name: Named) -> type[Pilot]:
     if name.endswith(SUFFIX):
         _check_file(name, name)
         return from_file(Path(name))
-    if Path(name).suffix in adapters.KINDS:
-        _check_file(name, name)
+    if adapters.is_model(Path(name)):
+        if not Path(name).is_dir():
+            _check_file(name, name)
         return adapters.from_path(Path(name))
     place, wanted = (name, "") if name.endswith(".py") or ":" not in name else name.rsplit(":", 1)
     if not place.endswith(".py") and not wanted:
@@ -127,7 +128,7 @@ def source_files(kind: type[Pilot]) -> list[Path]:
         files += files_of(each.__module__)
     if issubclass(kind, Learned) and hasattr(kind, "file"):
         files += [kind.file, kind.file.with_suffix(".json")]
-    if issubclass(kind, Model) and hasattr(kind, "file"):
+    if issubclass(kind, Model):
         files += kind.files()
     if issubclass(kind, (Filtered, Informed)):
         files += source_files(kind.inner)

@@ -97,7 +97,7 @@ def test_commands_parse(arguments):
     policies = values.get("policies") or [values.get("policy") or "expert"]
     policies = [policy.rpartition("=")[2] for policy in policies]  # fovconn fleet takes "uav_3=follow" as well
     # written or trained by the reader
-    yours = re.compile(r"my_policy\.py(:\w+)?|model\.(?:zip|onnx)|(lambda2-cbf:)?out/(\w+)/\3\.safetensors")
+    yours = re.compile(r"my_policy\.py(:\w+)?|model\.(?:zip|onnx)|out/rllib|(lambda2-cbf:)?out/(\w+)/\3\.safetensors")
     known = [policy.removeprefix("informed:") for policy in policies]
     assert all(policy in (*POLICIES, *ORACLES) or yours.fullmatch(policy) for policy in known)
     names = values.get("scenario_names") or [values.get("scenario_name") or "LeaderFollow-v0"]

@@ -1,8 +1,10 @@
-"""A module that RLlib has trained, as a policy: it is flown and compared as any other."""
+"""Modules that RLlib has trained: each is flown and compared as any other policy.
+
+To open a checkpoint unpickles what stands in it: code of whoever wrote it. Needs torch and ray[rllib].
+"""
 
 from __future__ import annotations
 
-import hashlib
 from os import PathLike
 from pathlib import Path
 from typing import ClassVar
@@ -12,61 +14,75 @@ import torch
 from ray.rllib.core.columns import Columns
 from ray.rllib.core.rl_module.rl_module import RLModule
 
-from fovconn_env.baselines.policy import Policy
-from fovconn_env.errors import rule
+from fovconn_env.baselines.adapters import mark
+from fovconn_env.baselines.adapters.model import ROWS, Model, Shared, in_blocks, opened
+from fovconn_env.errors import SettingError, rule
 from fovconn_env.scenarios.scenario import Scenario
 
-ROWS = 32  # in each call of the module, filled with zeros: how torch sums depends on the number of rows
+SHARED = "shared"  # the module that is taken of several, unless a subclass says another
 
 
-class ModulePolicy(Policy):
+class ModulePolicy(Model):
     """An `RLModule` of a checkpoint, without exploration. A subclass says which:
 
         class Mine(ModulePolicy):
             checkpoint = "out/rllib"
 
     checkpoint: a folder that `Algorithm.save_to_path` wrote, or that of a module in it. module: the module's name in
-    the former. Observations go to the module as they are, so what connectors make of them in training is missing.
-    RLlib's checkpoints unpickle: open only what you trust.
+    the former; without it the only one, or "shared". Observations go to the module as they are, so what connectors make
+    of them in training is missing. RLlib's checkpoints unpickle: open only what you trust.
     """
 
     checkpoint: ClassVar[str | PathLike[str]]
-    module: ClassVar[str] = "shared"
+    module: ClassVar[str] = ""
 
     def __init__(self, scenario: Scenario) -> None:
         """Raises `SettingError` for a missing checkpoint, a module with a state, and one of other observations."""
         super().__init__(scenario)
-        self._module = RLModule.from_checkpoint(self._folder())
-        name, kind = f"the module of {type(self).__name__}", type(self._module).__name__
-        rule(not self._module.is_stateful(), name, "one without a state", kind, "an LSTM needs a policy of its own")
-        size, shape = scenario.observation_size, self._module.observation_space.shape
+        folder = self._folder()
+        module = opened(folder, lambda: RLModule.from_checkpoint(folder))
+        name, kind = f"the module of {type(self).__name__}", type(module).__name__
+        rule(not module.is_stateful(), name, "one without a state", kind, "an LSTM needs a policy of its own")
+        size, shape = scenario.observation_size, module.observation_space.shape
         rule(shape == (size,), name, f"made for observations ({size},) as the scenario's", shape, "same settings?")
-        self._distribution = self._module.get_inference_action_dist_cls()
+        self._module = Shared(module)
+        self._distribution = module.get_inference_action_dist_cls()
+        actions = self._actions(np.zeros((ROWS, size), np.float32))[0].shape
+        rule(actions == (ROWS, 4), name, "one of four actions", actions, "vx, vy, vz and yaw rate as shares")
 
     @classmethod
-    def tag(cls) -> str:
-        """Hash of the checkpoint's files."""
-        files = sorted(file for file in cls._folder().rglob("*") if file.is_file())
-        return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+    def files(cls) -> list[Path]:
+        """The module's files, and what shows that its checkpoint is one."""
+        files = {file for file in cls._folder().rglob("*") if file.is_file()}
+        return sorted(files | {mark(Path(cls.checkpoint).resolve())})
 
     def decide(self, flat: np.ndarray) -> np.ndarray:
         """Actions (R, 4) for flat observations (R, D)."""
-        padded = np.zeros((-len(flat) % ROWS + len(flat), flat.shape[1]), np.float32)
-        padded[: len(flat)] = flat
-        with torch.no_grad():
-            parts = [self._actions(block) for block in torch.from_numpy(padded).split(ROWS)]
-        return np.clip(torch.cat(parts).numpy()[: len(flat)], -1.0, 1.0)
+        (actions,) = in_blocks(self._actions, ROWS, flat)
+        return np.clip(actions, -1.0, 1.0)
 
-    def _actions(self, block: torch.Tensor) -> torch.Tensor:
-        outputs = self._module.forward_inference({Columns.OBS: block})
-        return self._distribution.from_logits(outputs[Columns.ACTION_DIST_INPUTS]).to_deterministic().sample()
+    def _actions(self, rows: np.ndarray) -> tuple[np.ndarray, ...]:
+        with torch.no_grad():
+            outputs = self._module.held.forward_inference({Columns.OBS: torch.from_numpy(rows)})
+            sampler = self._distribution.from_logits(outputs[Columns.ACTION_DIST_INPUTS]).to_deterministic()
+            return (sampler.sample().numpy(),)
 
     @classmethod
     def _folder(cls) -> Path:
         """The folder of the module's checkpoint."""
         whole = Path(cls.checkpoint).resolve()
-        inner = whole / "learner_group" / "learner" / "rl_module" / cls.module
-        folder = inner if inner.is_dir() else whole
+        inner = whole / "learner_group" / "learner" / "rl_module"
+        names = sorted(place.name for place in inner.iterdir() if is_module(place)) if inner.is_dir() else []
+        name = cls.module or (names[0] if len(names) == 1 else SHARED)
+        if names and name not in names:
+            hint = f"name the folder of one, {inner}/{names[0]} for example"
+            raise SettingError(f"module must be one of {', '.join(names)}, got {name!r}: {hint}")
+        folder = inner / name if names else whole
         hint = "algorithm.save_to_path(folder) writes one, with a folder for each module"
-        rule((folder / "class_and_ctor_args.pkl").is_file(), "checkpoint", "that of an RLModule", str(folder), hint)
+        rule(is_module(folder), "checkpoint", "that of an RLModule", str(folder), hint)
         return folder
+
+
+def is_module(folder: Path) -> bool:
+    """Whether a folder holds a checkpoint of RLlib, of a module or what has modules."""
+    return mark(folder).is_file()

@@ -6,13 +6,20 @@ import sys
 import numpy as np
 import pytest
 
-from fovconn_env import PRESETS
+from fovconn_env import PRESETS, Simulator, scenario
+from fovconn_env.baselines import load_policy
+from fovconn_env.errors import SettingError
 from tests.integrations import SHORT, assert_learned, example, weights
 
 pytest.importorskip("benchmarl")
 
+import torch
+from benchmarl.algorithms import IppoConfig
 from benchmarl.environments import task_config_registry
+from benchmarl.experiment import Experiment
 from benchmarl.hydra_config import reload_experiment_from_file
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from fovconn_env.training.benchmarl import CONF, Fovconn
 
@@ -122,3 +129,30 @@ def test_benchmarls_command_flies_a_task_by_its_yaml_and_its_checkpoint_is_loade
     assert experiment.task.scenario.name == "LossyRadio-v0"
     assert experiment.task.scenario.radio.delay == 20
     assert experiment.task.scenario.max_cycles == 8
+
+
+def test_a_trained_policy_flies_in_teams_of_any_size(script, tmp_path):
+    experiment = script.make_experiment(str(tmp_path / "runs"), 1, **SIZES)
+    experiment.run()
+    torch.save(experiment.policy, tmp_path / "mine.pt")
+    task = scenario("LeaderFollow-v0", **SHORT)
+    simulator = Simulator(task, n_worlds=5)
+    simulator.reset(0)
+    flat = simulator.observations.reshape(30, -1).copy()
+    policy = load_policy(tmp_path / "mine.pt", task)
+    actions = policy.act(flat)
+    data = TensorDict({("uav", "observation"): torch.from_numpy(flat).reshape(5, 6, -1)}, [5])
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        wanted = experiment.policy(data)["uav", "action"].reshape(30, 4)
+    np.testing.assert_allclose(actions, wanted, atol=1e-6)
+    np.testing.assert_array_equal([policy.act(row) for row in flat], actions)
+    np.testing.assert_array_equal(load_policy(tmp_path / "mine.pt", scenario(task, n_agents=9)).act(flat), actions)
+
+
+def test_a_network_for_each_robot_is_no_policy_of_all(script, tmp_path):
+    one = script.make_experiment(str(tmp_path / "runs"), 1, **SIZES)
+    one.config.share_policy_params = False
+    each = Experiment(one.task, IppoConfig.get_from_yaml(), one.model_config, seed=0, config=one.config)
+    torch.save(each.policy, tmp_path / "mine.pt")
+    with pytest.raises(SettingError, match=r"must be one policy for each robot, .*: share its parameters"):
+        load_policy(tmp_path / "mine.pt", scenario("LeaderFollow-v0", **SHORT))

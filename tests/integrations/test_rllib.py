@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from fovconn_env import Simulator, scenario
-from fovconn_env.baselines import load_policy
-from tests.integrations import SHORT, assert_learned, example
+from fovconn_env.baselines import find_policy, load_policy, source_files
+from tests.integrations import SHORT, assert_learned, example, fovconn
 
 pytest.importorskip("ray.rllib")
 
@@ -173,6 +173,24 @@ def test_the_module_is_a_policy_of_ones_own(trained, tmp_path):
     assert done.returncode == 0, done.stderr
     (result,) = json.loads((tmp_path / "short.json").read_text("utf-8"))["results"]
     assert result["policy"] == "Mine"
+    assert "never disconnected" in done.stdout
+
+
+def test_a_checkpoint_is_a_policy_by_its_folder(trained, tmp_path):
+    """That of an algorithm, and that of its module, from the command line as well."""
+    folder, _, flat, actions = trained
+    policy = load_policy(folder, TASK)
+    assert type(policy).__name__ == folder.name
+    np.testing.assert_array_equal(policy.act(flat), actions)
+    np.testing.assert_array_equal(policy.act(flat[2], agent="uav_3"), actions[2])
+    module = folder / "learner_group" / "learner" / "rl_module" / "shared"
+    assert source_files(find_policy(module)) == sorted(module.iterdir())
+    mark = folder / "class_and_ctor_args.pkl"  # without which no copy is a checkpoint
+    assert source_files(find_policy(folder)) == sorted([mark, *module.iterdir()])
+    np.testing.assert_array_equal(load_policy(f"lambda2-cbf:{module}", TASK).policy.act(flat), actions)
+    settings = " ".join(f"--set {name}={value}" for name, value in SHORT.items())
+    done = fovconn(f"fovconn eval --policy {folder} --seeds 0-1 --processes 1 {settings}", tmp_path)
+    assert done.returncode == 0, done.stderr
     assert "never disconnected" in done.stdout
 
 

@@ -1,12 +1,22 @@
 """docs/examples/torchrl_ppo.py with TorchRL."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 
 from fovconn_env import Simulator, parallel_env, scenario
+from fovconn_env.baselines import load_policy
+from fovconn_env.errors import SettingError
 from tests.integrations import SHORT, assert_learned, example, weights
 
 pytest.importorskip("torchrl")
+
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested using version:UserWarning"),
@@ -95,3 +105,78 @@ def test_the_policy_sees_one_robot_alone(script):
     changed = (before != after).any(dim=-1)
     assert changed.tolist() == [False, True, False, False, False, False]
     assert critic(data)["uav", "value"].shape == (6, 1)
+
+
+# ----------------------------------------------------------------------------------------------- as a policy
+TASK = scenario("LeaderFollow-v0", **SHORT)
+
+
+@pytest.fixture(scope="module")
+def flat():
+    """Observations (42, D) of seven worlds."""
+    simulator = Simulator(TASK, n_worlds=7)
+    simulator.reset(0)
+    return simulator.observations.reshape(42, -1).copy()
+
+
+def test_a_trained_policy_flies_without_exploration(script, flat, tmp_path):
+    """As the module says, in teams of any size; alone, by name, in any order and stack."""
+    module = script.train(1, n_worlds=2, n_steps=16, watch=len, **SHORT)
+    torch.save(module, tmp_path / "mine.pt")
+    policy = load_policy(tmp_path / "mine.pt", TASK)
+    actions = policy.act(flat)
+    data = TensorDict({("uav", "observation"): torch.from_numpy(flat).reshape(7, 6, -1)}, [7])
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        wanted = module(data)["uav", "action"].reshape(42, 4)
+    np.testing.assert_allclose(actions, wanted, atol=1e-6)
+    np.testing.assert_array_equal(policy.act(flat[::-1]), actions[::-1])
+    np.testing.assert_array_equal([policy.act(row) for row in flat], actions)
+    np.testing.assert_array_equal(policy.act(flat[3], agent="uav_1"), actions[3])
+    np.testing.assert_array_equal(load_policy(tmp_path / "mine.pt", scenario(TASK, n_agents=9)).act(flat), actions)
+    for other in (copy.deepcopy(policy), pickle.loads(pickle.dumps(policy))):
+        np.testing.assert_array_equal(other.act(flat), actions)
+
+
+def test_a_plain_module_flies(flat, tmp_path):
+    module = torch.nn.Sequential(torch.nn.Linear(TASK.observation_size, 4), torch.nn.Dropout(), torch.nn.Tanh())
+    torch.save(module, tmp_path / "mine.pth")
+    with torch.no_grad():
+        wanted = module.eval()(torch.from_numpy(flat)).numpy()
+    np.testing.assert_allclose(load_policy(tmp_path / "mine.pth", TASK).act(flat), wanted, atol=1e-6)
+
+
+class Mean(torch.nn.Module):
+    """Each robot gets the mean over its team."""
+
+    def forward(self, rows):
+        return rows[..., :4].mean(-2, keepdim=True).expand(*rows.shape[:-1], 4)
+
+
+def module_of(body, reads=("uav", "observation"), writes=("uav", "action")):
+    return TensorDictModule(body, in_keys=[reads], out_keys=[writes])
+
+
+BODY = torch.nn.Linear(TASK.observation_size, 4)
+REFUSED = {
+    "weights alone": (BODY.state_dict(), r"must be a module of torch, got 'OrderedDict': torch\.save\(policy, file\)"),
+    "the state": (module_of(BODY, "state"), r"in_keys of .* must be an observation, got \['state'\]"),
+    "a critic": (module_of(BODY, writes="value"), r"out_keys of .* must be with an action, got \['value'\]"),
+    "the team": (module_of(Mean()), "must be one policy for each robot, got 'one that looks at others"),
+    "another size": (torch.nn.Linear(7, 4), r"must take observations \(205,\), got RuntimeError: mat1"),
+    "five actions": (torch.nn.Linear(TASK.observation_size, 5), r"must be \(robots, 4\), got \(60, 5\)"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_fly_is_refused(name, tmp_path):
+    module, words = REFUSED[name]
+    torch.save(module, tmp_path / "mine.pt")
+    with pytest.raises(SettingError, match=words):
+        load_policy(tmp_path / "mine.pt", TASK)
+
+
+def test_what_is_no_module_is_refused_in_one_line(tmp_path):
+    (tmp_path / "mine.pt").write_bytes(b"GIF89a")
+    with pytest.raises(SettingError, match=r"mine\.pt must load, got \w+: ") as refused:
+        load_policy(tmp_path / "mine.pt", TASK)
+    assert "\n" not in str(refused.value)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from fovconn_env.baselines.adapters import KINDS
+from fovconn_env.baselines.adapters import is_model
 from fovconn_env.baselines.laws.filters import split_name
 from fovconn_env.baselines.learned.cards import SUFFIX
 from fovconn_env.errors import PolicyError
@@ -100,9 +100,9 @@ def _parts(policy: str) -> tuple[str, str, str]:
     """A policy's name as what stands before its file, the file's whole path, "" without one, and what follows."""
     filter, inner = split_name(policy)
     before = f"{filter}:" if filter is not None else ""
-    endings = (".py", SUFFIX, *KINDS)
-    file, colon, name = (inner, "", "") if inner.endswith(endings) else inner.rpartition(":")
-    if not file.endswith(endings):
+    whole = inner.endswith((".py", SUFFIX)) or is_model(Path(inner))
+    file, colon, name = (inner, "", "") if whole else inner.rpartition(":")
+    if not whole and not file.endswith(".py"):
         return policy, "", ""  # a module by its dotted name, looked for in the current folder
     return before, os.path.realpath(file), colon + name
 
