@@ -80,7 +80,7 @@ class Dagger(Algorithm):
         hint = "one a scenario"
         rule(len(self.teachers) == len(scenarios), "teachers", f"{len(scenarios)} names", len(self.teachers), hint)
         pairs = zip(self.teachers, scenarios, strict=True)
-        self.laws = [teacher(name)(scenario) for name, scenario in pairs]
+        self.laws = [teacher(name, scenario) for name, scenario in pairs]
         self.seen = np.zeros((s.capacity, self.rows.observations.shape[1]), np.float32)
         self.wanted = np.zeros((s.capacity, ACTION), np.float32)
         self.filled = 0
@@ -171,12 +171,13 @@ class Dagger(Algorithm):
         self.seen[: self.filled], self.wanted[: self.filled] = seen, wanted
 
 
-def teacher(name: str) -> type[Policy | TeamOracle]:
-    """The class of a pilot that can be asked at any state; `SettingError` for one with a memory or own equipment."""
+def teacher(name: str, scenario: Scenario) -> Policy | TeamOracle:
+    """A pilot that can be asked at any state; `SettingError` for one with a memory or own equipment."""
     kind: Any = find_pilot(name)
-    rule(not kind.has_memory, "teacher", "a policy without a memory", name, "rows are labelled now and then")
     rule(not kind.overrides, "teacher", "a policy that flies with any equipment", name, f"it needs {kind.overrides}")
-    return kind
+    pilot = kind(scenario)
+    rule(not pilot.has_memory, "teacher", "a policy without a memory", name, "rows are labelled now and then")
+    return pilot
 
 
 def regress(policy, seen, wanted, count, rng, rate, s) -> float:
