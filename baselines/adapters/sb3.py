@@ -171,8 +171,9 @@ def build(file: Path, data: Mapping[str, Any], weights: Mapping[str, Any]) -> An
     if data.get("use_sde"):
         options["use_sde"] = True
     spaces_of, kind = (data["observation_space"], data["action_space"]), data["policy_class"]
-    third = list(inspect.signature(kind).parameters)[2:3]
-    rate = (lambda _: 0.0,) if third in (["lr_schedule"], ["args"]) else ()  # ARS has none
+    words = inspect.signature(kind).parameters.values()
+    learns = any(word.name == "lr_schedule" or word.kind is word.VAR_POSITIONAL for word in words)  # ARS has no rate
+    rate = (lambda _: 0.0,) if learns else ()
     network = opened(file, lambda: kind(*spaces_of, *rate, **options))
     opened(file, lambda: network.load_state_dict(weights["policy"]))
     network.set_training_mode(False)

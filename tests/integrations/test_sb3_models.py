@@ -25,7 +25,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from fovconn_env.training.learn.learning import write_policy
 from fovconn_env.training.learn.model import Network
-from fovconn_env.training.learn.ppo import PPOSettings, Team
+from fovconn_env.training.learn.ppo import Mappo, PPOSettings, Team
 from fovconn_env.training.learn.residual import Residual, ResidualSettings
 from fovconn_env.training.sb3 import AsymmetricPolicy, make_vec_env
 
@@ -167,17 +167,17 @@ def test_a_checkpoint_has_statistics_of_its_own_and_others_are_left_alone(flat, 
     load_policy(plain, TASK)  # it saw observations as they are
 
 
-@pytest.mark.parametrize("kind", ["set", "mlp"])
-def test_what_our_trainers_leave_flies_in_the_networks_units(kind, flat, tmp_path):
+@pytest.mark.parametrize("trainer, kind", [(Team, "set"), (Team, "mlp"), (Mappo, "set")])
+def test_what_our_trainers_leave_flies_in_the_networks_units(trainer, kind, flat, tmp_path):
     """As the policy file beside it: with another stick the same velocities are other shares."""
     settings = PPOSettings(n_worlds=2, n_steps=8, batch=96)
-    team = Team([TASK], 0, settings, Network(kind=kind))
+    team = trainer([TASK], 0, settings, Network(kind=kind))
     with torch.no_grad():
         team.policy.action_net.weight.mul_(100.0)  # it begins near 0
     write_policy(team, tmp_path, {}, ())
     actions = []
     for task in (TASK, scenario(TASK, stick_speed=2.5), scenario("RealCamera-v0", **SHORT)):
-        model, file = (load_policy(tmp_path / name, task) for name in ("model.zip", "ppo.safetensors"))
+        model, file = (load_policy(tmp_path / name, task) for name in ("model.zip", f"{trainer.name}.safetensors"))
         seen = np.pad(flat, ((0, 0), (0, task.observation_size - flat.shape[1])))
         actions.append(model.act(seen))
         np.testing.assert_allclose(actions[-1], file.act(seen), atol=1e-6)
