@@ -24,7 +24,8 @@ from tests import reference as ref
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = {"eval": "--scenario", "demo": "--scenario", "bench": "--scenario", "figures": "--ablations"}
-COMMANDS |= {"replay": "--out", "play": "--scenario", "list": "--help", "submit": "--suite", "leaderboard": "--draw"}
+COMMANDS |= {"replay": "--out", "play": "--scenario", "submit": "--suite", "leaderboard": "--draw"}
+COMMANDS |= dict.fromkeys(("scenarios", "policies"), "--help")
 COMMANDS |= {"fleet": "--transport", "robot": "--connect", "export": "--scenario"}
 TINY = ("--set", "n_agents=3", "--set", "max_cycles=40", "--set", "warmup=0.5")
 
@@ -32,6 +33,8 @@ TINY = ("--set", "n_agents=3", "--set", "max_cycles=40", "--set", "warmup=0.5")
 # ---------------------------------------------------------------------------------------------------------------- help
 def test_help_and_version(fovconn):
     top = fovconn("--help")
+    for command in ("demo", "play", "scenarios", "policies"):
+        assert f"fovconn {command}" in " ".join(top.out.split())  # where to start
     assert top.status == 0
     assert {command.name for command in app.app.registered_commands} == set(COMMANDS)
     for command, option in COMMANDS.items():

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from fovconn_env import LEVELS, PRESETS, files, fovconn_v0
-from fovconn_env.baselines import POLICIES
+from fovconn_env.baselines import ORACLES, POLICIES
 from fovconn_env.errors import EXTRAS, FovconnError, MachineError, MissingPackage, PolicyError, SettingTypeError
 from fovconn_env.flights import recording
 from fovconn_env.scenarios.hard import TASKS
@@ -139,7 +139,7 @@ def test_a_path_that_cannot_be_used_is_named(words, path, fovconn, tmp_path, mon
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252", "utf-8"])
 def test_any_encoding_of_the_terminal_will_do(encoding, tmp_path):
     variables = {**os.environ, "PYTHONIOENCODING": encoding, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "fovconn_env.training.cli", "list"]
+    command = [sys.executable, "-m", "fovconn_env.training.cli", "scenarios"]
     done = subprocess.run(command, cwd=tmp_path, env=variables, capture_output=True)
     assert done.returncode == 0, done.stderr
     assert b"Corridor-v0" in done.stdout
@@ -215,9 +215,9 @@ def test_what_needs_an_extra_names_it(package, words, fovconn, monkeypatch):
 
 
 # ---------------------------------------------------------------------------------------------------- what there is
-def test_the_list_has_all_there_is(fovconn):
-    shown = fovconn("list")
-    assert shown.status == 0
+def test_the_lists_have_all_there_is(fovconn):
+    shown, known = fovconn("scenarios"), fovconn("policies")
+    assert shown.status == known.status == 0
     lines = shown.out.splitlines()
     readme = (ROOT / "README.md").read_text("utf-8")
     for name in PRESETS:
@@ -225,8 +225,8 @@ def test_the_list_has_all_there_is(fovconn):
         assert (f"levels 1-{len(LEVELS.get(name, ())) + 1}" in line) == (name in LEVELS)
         summary = re.search(rf"^\| `{name}` \| (.*) \|$", readme, re.MULTILINE)[1]
         assert line.endswith(f"  {summary}")
-    for name in POLICIES:
-        [line] = [line for line in lines if line.startswith(f"  {name} ")]
+    for name in (*POLICIES, *ORACLES):
+        [line] = [line for line in known.out.splitlines() if line.startswith(f"  {name} ")]
         assert line.rstrip().endswith(".")
     assert [line.split()[0] for line in lines[lines.index("suites") + 1 :][:3]] == ["quick", "full", "hard-v1"]
     for name, task in TASKS.items():

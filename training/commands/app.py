@@ -42,9 +42,11 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     help="Robots that see only what is in front of them, kept together: fly them, measure them.",
+    epilog="Start with `fovconn demo`, the paper's experiment in pictures, or `fovconn play`: you fly the leader. "
+    "`fovconn scenarios` and `fovconn policies` tell what there is, `fovconn eval --policy follow --seeds 0-31` "
+    "makes a table.",
 )
 _COMMANDS = {
-    "list": listing,
     "eval": evaluate,
     "export": export,
     "demo": demo,
@@ -57,6 +59,8 @@ _COMMANDS = {
     "leaderboard": leaderboard,
     "bench": bench,
 }
+app.command("scenarios")(listing.scenarios)
+app.command("policies")(listing.policies)
 for _name, _module in _COMMANDS.items():
     app.command(_name)(_module.command)
 app.add_typer(train.app, name="train")

@@ -47,7 +47,9 @@ Policies = Annotated[
 
 
 def command(
-    scenario_name: Annotated[str, typer.Argument(metavar="SCENARIO", help="Scenario id, as fovconn list has them.")],
+    scenario_name: Annotated[
+        str, typer.Argument(metavar="SCENARIO", help="Scenario id, as fovconn scenarios has them.")
+    ],
     policies: Policies = None,
     clock: Annotated[
         Literal["lockstep", "real"], typer.Option(help="As the simulator, bit for bit; or in real time.")

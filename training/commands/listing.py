@@ -1,4 +1,4 @@
-"""`fovconn list`."""
+"""`fovconn scenarios` and `fovconn policies`: what there is, a line each."""
 
 from __future__ import annotations
 
@@ -17,18 +17,23 @@ from fovconn_env.training.evaluation.campaign import SUITES
 _GROUPS = {tuple(PRESETS): "all scenarios", tuple(TASKS): "all hard tasks"}
 
 
-def command() -> None:
-    """List the scenarios with their levels, the policies, and the suites of `fovconn eval`."""
+def scenarios() -> None:
+    """List the scenarios with their levels, the hard tasks, and the suites of `fovconn eval`."""
     levels = {name: f"levels 1-{len(LEVELS[name]) + 1}" if name in LEVELS else "" for name in PRESETS}
     _say("scenarios", [(name, levels[name], SUMMARIES[name]) for name in PRESETS])
     _say("hard tasks", [(name, "", task.summary) for name, task in TASKS.items()])
-    _say("policies", [(name, "oracle" * kind.oracle, _purpose(name)) for name, kind in (POLICIES | ORACLES).items()])
     suites = []
-    for name, (scenarios, seeds, _) in SUITES.items():
-        which = _GROUPS.get(scenarios) or ", ".join(scenarios)
+    for name, (chosen, seeds, _) in SUITES.items():
+        which = _GROUPS.get(chosen) or ", ".join(chosen)
         suites.append((name, "", f"all policies on {which}, {len(seeds)} seeds each"))
     _say("suites", suites)
-    out.print("a level or a setting: --set level=2, --set n_agents=4; a policy of your own: --policy file.py:Class")
+    out.print("a level or a setting: --set level=2, --set n_agents=4")
+
+
+def policies() -> None:
+    """List the policies: laws, learned ones, and oracles, which know more than a robot can."""
+    _say("policies", [(name, "oracle" * kind.oracle, _purpose(name)) for name, kind in (POLICIES | ORACLES).items()])
+    out.print("your own: --policy file.py:Class; what you trained: dagger.safetensors, model.zip, model.onnx")
 
 
 def _purpose(name: str) -> str:
