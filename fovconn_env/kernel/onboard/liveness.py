@@ -6,10 +6,10 @@ them with its first message of a tick, so that a beat travels one link a tick.
 
 from __future__ import annotations
 
-from fovconn_env.kernel.jit import kernel
+from fovconn_env.kernel.jit import disjoint, kernel
 
 
-@kernel
+@disjoint
 def send_beats(sent, beats, i, tick):
     """Renew robot i's own beat, and copy all beats that it holds into its message."""
     beats[i] = tick
@@ -17,7 +17,7 @@ def send_beats(sent, beats, i, tick):
         sent[k] = beats[k]
 
 
-@kernel
+@disjoint
 def merge_beats(beats, received):
     """Keep the newer beat of each robot, held or received."""
     for k in range(beats.shape[0]):
