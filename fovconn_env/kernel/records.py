@@ -203,7 +203,6 @@ class Scratch(NamedTuple):
     laplacian: np.ndarray  # (N, N)
     spectrum: np.ndarray  # (N + spectrum.N_VECTORS, N)
     # unsigned, as numba checks each use of a signed index for counting from the end
-    order: np.ndarray  # (N,) uint32, all robots, see camera.broad_phase
     near: np.ndarray  # (N N, 2) uint32, the pairs to look at
     nearest: np.ndarray  # (N,) uint32, a robot's neighbours, see observation.sort_present
     active: np.ndarray  # (N, N) bool, see camera.find_active

@@ -264,7 +264,7 @@ def step_dynamics(bodies, flights, episode, p):
 def update_true_pairs(state, world, scratch, b, p):
     """Bring the truth about pairs up to date, and the list of contacts where it changes."""
     bodies, pairs, row, col, indptr = state.body[b], state.pair[b], scratch.row, scratch.col, scratch.indptr
-    count = broad_phase(bodies, scratch.order, row, col, indptr[bodies.shape[0]], scratch.near, p)
+    count = broad_phase(bodies, scratch.spectrum, col, indptr, scratch.near, p)
     if update_pairs(bodies, pairs, scratch.active, scratch.near, count, world.piece[b], world.vertex[b], p):
         build_contacts(scratch.active, row, col, indptr)
 

@@ -64,7 +64,6 @@ def scratch(n_agents: int) -> records.Scratch:
     return records.Scratch(
         laplacian=np.empty((n, n)),
         spectrum=np.empty((n + N_VECTORS, n)),
-        order=np.arange(n, dtype=np.uint32),
         near=np.empty((n * n, 2), np.uint32),
         nearest=np.empty(n, np.uint32),
         active=np.empty((n, n), bool),

@@ -102,8 +102,8 @@ def look_at(bodies, pairs, active, near, count, piece, vertex, p):
 
 
 @entry
-def list_near(bodies, order, who, whom, contacts, near, p):
-    return camera.broad_phase(bodies, order, who, whom, contacts, near, p[0])
+def list_near(bodies, places, whom, first, near, p):
+    return camera.broad_phase(bodies, places, whom, first, near, p[0])
 
 
 @entry
@@ -170,7 +170,7 @@ def test_a_large_team_is_looked_at_without_visiting_all_pairs(n):
     params, all_pairs = scenario.params(), n * (n - 1) // 2
     bodies = bodies_of(draw_team(rng, n, box=(60, 60, 3)), scenario.camera)
     pairs, reference = np.zeros((n, n), records.PAIR), np.zeros((n, n), records.PAIR)
-    order, near, first = np.arange(n, dtype=np.uint32), np.zeros((n * n, 2), np.uint32), np.zeros(n + 1, np.int64)
+    places, near, first = np.full((2, n), np.nan), np.zeros((n * n, 2), np.uint32), np.zeros(n + 1, np.int64)
     who, whom = np.zeros(n * n, np.uint32), np.zeros(n * n, np.uint32)
     active, marked = np.zeros((2, n, n), bool)
     mark(pairs, active, params)
@@ -183,7 +183,7 @@ def test_a_large_team_is_looked_at_without_visiting_all_pairs(n):
             speed[np.abs(bodies[axis]) > 25] = 0.0
             speed -= 0.02 * bodies[axis]
         again = bodies.copy()
-        count = list_near(bodies, order, who, whom, first[n], near, params)
+        count = int(list_near(bodies, places, whom, first, near, params))
         listed = {(i, j) for i, j in near[:count].tolist()}
         assert len(listed) == count
         assert all(i < j for i, j in listed)

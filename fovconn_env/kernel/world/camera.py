@@ -7,12 +7,16 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from fovconn_env.kernel.jit import kernel
 from fovconn_env.kernel.maths import random
 from fovconn_env.kernel.maths.geometry import perpendicular, sight_blocked, tilt, untilt
 
 BY_SIGHT, BY_RANGE = range(2)  # scenarios.params.SWITCHES["link"]
 SMALL = 16  # robots up to which it is faster to visit all pairs
+# counts, unsigned: as an index a signed one is checked for counting from the end
+NONE, ONE = np.uint64(0), np.uint64(1)
 
 
 @kernel
@@ -58,49 +62,32 @@ def update_pairs(bodies, pairs, active, near, count, piece, vertex, p):
 
 
 @kernel
-def broad_phase(bodies, order, row, col, contacts, near, p):
+def broad_phase(bodies, places, col, indptr, near, p):
     """Write into `near` each pair that `update_pairs` has to visit, once, i < j; returns how many.
 
-    These are the pairs in range of each other, and the `contacts` that `build_contacts` listed. Nothing changes for
-    other pairs. A large team is swept along x over `order`, which holds the robots almost sorted by x. In a small team
-    all pairs are listed, which is faster.
+    These are the pairs in range of each other, and the contacts that `build_contacts` listed. Nothing changes for other
+    pairs. In a small team all pairs are listed, which is faster. The first two rows of places (., N) are scratch.
     """
-    n, count = bodies.shape[0], 0
+    n, count, reach = bodies.shape[0], NONE, p.d_max
     if n <= SMALL:
         for i in range(n):
             for j in range(i + 1, n):
                 near[count, 0], near[count, 1] = i, j
-                count += 1
+                count += ONE
         return count
-    sort_along_x(order, bodies)
-    reach = p.d_max
-    for a in range(n):
-        i = order[a]
-        x, y = bodies[i].x, bodies[i].y
-        for b in range(a + 1, n):
-            j = order[b]
-            if bodies[j].x - x >= reach:
-                break
-            near[count, 0], near[count, 1] = min(i, j), max(i, j)
-            count += abs(bodies[j].y - y) < reach
-    for k in range(contacts):
-        i, j = row[k], col[k]
-        if i < j:
-            apart = (abs(bodies[j].x - bodies[i].x) >= reach) | (abs(bodies[j].y - bodies[i].y) >= reach)
+    xs, ys = places[0], places[1]  # close together: all pairs are looked at
+    for i in range(n):
+        xs[i], ys[i] = bodies[i].x, bodies[i].y
+    for i in range(n):
+        x, y = xs[i], ys[i]
+        for j in range(i + 1, n):
             near[count, 0], near[count, 1] = i, j
-            count += apart
+            count += np.uint64((abs(xs[j] - x) < reach) & (abs(ys[j] - y) < reach))
+        for k in range(indptr[i], indptr[i + 1]):
+            j = col[k]
+            near[count, 0], near[count, 1] = i, j
+            count += np.uint64((j > i) & ((abs(xs[j] - x) >= reach) | (abs(ys[j] - y) >= reach)))
     return count
-
-
-@kernel
-def sort_along_x(order, bodies):
-    """Sort the robots along x, by insertion: from tick to tick few change places."""
-    for a in range(1, order.shape[0]):
-        k, b = order[a], a
-        while b > 0 and bodies[order[b - 1]].x > bodies[k].x:
-            order[b] = order[b - 1]
-            b -= 1
-        order[b] = k
 
 
 @kernel
@@ -131,14 +118,14 @@ def build_contacts(active, row, col, indptr):
     Robot i's contacts, in ascending order, are col[indptr[i] : indptr[i + 1]]; row repeats i as often. The marks of all
     pairs lie closer together than their records.
     """
-    n, count = active.shape[0], 0
+    n, count = active.shape[0], NONE
     for i in range(n):
         indptr[i] = count
         for j in range(n):
             col[count] = j
-            count += active[i, j]
+            count += np.uint64(active[i, j])
         # apart, as most of the robots visited above are no contacts
-        for k in range(indptr[i], count):
+        for k in range(indptr[i], np.int64(count)):
             row[k] = i
     indptr[n] = count
 
