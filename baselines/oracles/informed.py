@@ -33,6 +33,7 @@ class Informed(TeamOracle):
     def __init__(self, scenario: Scenario) -> None:
         super().__init__(scenario)
         self.policy = self.inner(dataclasses.replace(scenario, max_neighbors=max(scenario.n_agents - 1, 1)))
+        check_memory(self.policy, type(self).__name__)  # a model's file says it of an instance
 
     @classmethod
     def tag(cls) -> str:
@@ -49,10 +50,15 @@ class Informed(TeamOracle):
 def informed(kind: type[Policy], name: str | None = None) -> type[Informed]:
     """The oracle that is a law, called `name` in tables, on true observations; `SettingError` for one with a memory."""
     called = name or kind.__name__
-    hint = "the truth is of the moment, and rows change their places"
-    rule(not kind.has_memory, f"{PREFIX}:", "followed by a policy without a memory", called, hint)
+    check_memory(kind, called)
     fields = {"inner": kind, "overrides": kind.overrides, "has_memory": False, "__doc__": f"{kind.__doc__} Informed."}
     return make_class(f"{PREFIX}-{called}", Informed, fields, informed, kind, name)
+
+
+def check_memory(policy: Policy | type[Policy], name: str) -> None:
+    """`SettingError` for a policy with a memory."""
+    hint = "the truth is of the moment, and rows change their places"
+    rule(not policy.has_memory, f"{PREFIX}:", "followed by a policy without a memory", name, hint)
 
 
 def true_observations(truth: Truth, scenario: Scenario, max_neighbors: int | None = None) -> np.ndarray:
