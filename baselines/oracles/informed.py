@@ -2,7 +2,8 @@
 
 `informed:cohesive` is `cohesive` with observations in which every number is true: lambda2 and v2, and a row for every
 living robot within reach of a camera that no obstacle hides, seen or not, with its true place, motion and link weight,
-of no age. It acts by the state of the moment alone, so that a learner can ask it at any state (`fovconn train dagger`).
+of no age. Among obstacles the leader knows its course as well: it flies as if the stick pulled it along the way around
+them to its way point. It acts by the state of the moment alone, so that a learner can ask it at any state.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import ClassVar
 import numpy as np
 
 from fovconn_env import layout
+from fovconn_env.baselines.oracles.paths import Field, direction, in_the_way, make_field
 from fovconn_env.baselines.oracles.team_oracle import TeamOracle
 from fovconn_env.baselines.policy import Policy, make_class
 from fovconn_env.errors import rule
@@ -23,6 +25,7 @@ from fovconn_env.kernel.jit import entry, kernel
 from fovconn_env.scenarios.scenario import Scenario
 
 PREFIX = "informed"
+SQUARE = 4.0  # m
 
 
 class Informed(TeamOracle):
@@ -34,6 +37,7 @@ class Informed(TeamOracle):
         super().__init__(scenario)
         self.policy = self.inner(dataclasses.replace(scenario, max_neighbors=max(scenario.n_agents - 1, 1)))
         check_memory(self.policy, type(self).__name__)  # a model's file says it of an instance
+        self._ways: dict[int, tuple[bytes, Field | None]] = {}  # of each world, and of what: to be computed once
 
     @classmethod
     def tag(cls) -> str:
@@ -42,8 +46,50 @@ class Informed(TeamOracle):
 
     def decide(self, truth: Truth) -> np.ndarray:
         """Actions (B, N, 4)."""
-        observations = true_observations(truth, self.scenario, self.policy.scenario.max_neighbors)
-        return self.policy.decide(observations.reshape(-1, observations.shape[-1])).reshape(*truth.yaw.shape, -1)
+        scenario = self.policy.scenario
+        observations = true_observations(truth, self.scenario, scenario.max_neighbors)
+        worlds, change = self._detours(truth)
+        lead = truth.leader[worlds]
+        own = layout.rows(observations, scenario.max_neighbors, scenario.max_ranges, scenario.n_detections).own
+        for k, name in enumerate(("stick_x", "stick_y")):
+            own[name][worlds, lead] += change[:, k]
+        flat = observations.reshape(-1, observations.shape[-1])
+        actions = np.array(self.policy.decide(flat), np.float64).reshape(*truth.yaw.shape, -1)
+        actions[worlds, lead, :2] += change / (scenario.speed_limit + scenario.stick_speed)
+        return actions
+
+    def _detours(self, truth: Truth) -> tuple[np.ndarray, np.ndarray]:
+        """Worlds in which the way to the way point leads around something, and the change of the stick, (W, 2) m/s.
+
+        In the leader's yaw frame.
+        """
+        worlds, changes = [], []
+        for b in np.flatnonzero(
+            truth.going & (truth.n_waypoints > 0) & (truth.piece["count"] > 0).any(axis=1)
+        ).tolist():
+            stick, here = truth.stick[b, :2], truth.position[b, truth.leader[b]]
+            field = self._field(truth, b, here)
+            way = None if field is None or not stick.any() else direction(field, here[:2])
+            if way is not None:
+                dx, dy = math.hypot(*stick) * way - stick
+                c, s = math.cos(truth.yaw[b, truth.leader[b]]), math.sin(truth.yaw[b, truth.leader[b]])
+                worlds.append(b)
+                changes.append((c * dx + s * dy, c * dy - s * dx))
+        return np.array(worlds, np.int64), np.reshape(changes, (-1, 2))
+
+    def _field(self, truth: Truth, b: int, here: np.ndarray) -> Field | None:
+        """What it costs to get from a place to the way point of world b, None where nothing is in the way.
+
+        It is that of the square of `SQUARE` that the place is in, so it is not computed anew in each step.
+        """
+        goal, corner = truth.waypoint[b, truth.current[b]], SQUARE * np.floor(here[:2] / SQUARE)
+        places = np.stack([goal, [*corner, goal[2]], [*(corner + SQUARE), goal[2]]])
+        made_of = places.tobytes() + truth.piece[b].tobytes() + truth.vertex[b].tobytes()
+        if b not in self._ways or self._ways[b][0] != made_of:
+            least = self.scenario.collision_obstacle
+            solid = in_the_way(truth.piece[b], float(goal[2]), float(goal[2]), least)
+            self._ways[b] = made_of, make_field(places, goal, solid, truth.vertex[b], least) if len(solid) else None
+        return self._ways[b][1]
 
 
 @functools.cache  # one class, also for what was pickled

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,15 @@ WIDE = 1.1  # m, of clearance, beyond which more is worth nothing
 NARROW = 0.1  # m, least clearance beyond the collision distance
 ROUNDS = 300  # in which a band is pulled tight
 MOST_CELLS = 4_000_000
+AHEAD = 25  # cells, along which a way is followed at most to know its direction
+
+
+class Field(NamedTuple):
+    """What it costs to get to a goal, in plan."""
+
+    low: np.ndarray  # (2,) m, the first cell
+    cost: np.ndarray  # of a metre in each cell
+    reach: np.ndarray  # from each cell to the goal
 
 
 def find_path(
@@ -28,28 +38,18 @@ def find_path(
     """
     count = max(math.ceil(float(np.linalg.norm(goal[:2] - start[:2])) / STEP), 1)
     path = start + np.linspace(0.0, 1.0, count + 1)[:, None] * (goal - start)
-    solid = _in_the_way(pieces, float(path[:, 2].min()), float(path[:, 2].max()), least)
+    solid = in_the_way(pieces, float(path[:, 2].min()), float(path[:, 2].max()), least)
     if len(solid) == 0 or band_clearance(path, solid, vertices) >= WIDE:
         return path
-    points = np.concatenate([vertices[piece["first"] : piece["first"] + piece["count"]] for piece in solid])
-    low = np.minimum(start, goal)[:2] - AROUND
-    high = np.maximum(start, goal)[:2] + AROUND
-    near = points[((points > low - AROUND) & (points < high + AROUND)).all(axis=1)].reshape(-1, 2)
-    near = np.concatenate([near, start[None, :2], goal[None, :2]])
-    low, high = np.minimum(low, near.min(0) - 2.0), np.maximum(high, near.max(0) + 2.0)
-    shape = np.ceil((high - low) / CELL).astype(int) + 1
-    if int(shape[0]) * int(shape[1]) > MOST_CELLS:
+    field = make_field(np.stack([start, goal]), goal, solid, vertices, least)
+    if field is None:
         return path
-    cost, reach = np.empty(tuple(shape)), np.full(tuple(shape), np.inf)
-    fill_costs(cost, low, solid, vertices, least)
-    cells = [tuple(np.round((point[:2] - low) / CELL).astype(int)) for point in (start, goal)]
-    reach[cells[1]] = 0.0
-    while spread(cost, reach):
-        pass
-    if not np.isfinite(reach[cells[0]]):
+    low, cost, reach = field
+    first = tuple(np.round((start[:2] - low) / CELL).astype(int))
+    if not np.isfinite(reach[first]):
         return path
     steps = np.empty((reach.size, 2), np.int64)
-    count = descend(reach, cost, cells[0][0], cells[0][1], steps)
+    count = descend(reach, cost, first[0], first[1], steps)
     plan = low + CELL * steps[:count]
     plan[0], plan[-1] = start[:2], goal[:2]
     if count == 1:
@@ -61,6 +61,39 @@ def find_path(
     return np.concatenate([plan, start[2] + share * (goal[2] - start[2])], axis=1)
 
 
+def make_field(
+    places: np.ndarray, goal: np.ndarray, solid: np.ndarray, vertices: np.ndarray, least: float
+) -> Field | None:
+    """The costs around places (P, 3) and the obstacles near them; solid: `in_the_way`. None where that is too much."""
+    points = np.concatenate([vertices[piece["first"] : piece["first"] + piece["count"]] for piece in solid])
+    low, high = places[:, :2].min(0) - AROUND, places[:, :2].max(0) + AROUND
+    near = points[((points > low - AROUND) & (points < high + AROUND)).all(axis=1)].reshape(-1, 2)
+    near = np.concatenate([near, places[:, :2]])
+    low, high = np.minimum(low, near.min(0) - 2.0), np.maximum(high, near.max(0) + 2.0)
+    shape = np.ceil((high - low) / CELL).astype(int) + 1
+    if int(shape[0]) * int(shape[1]) > MOST_CELLS:
+        return None
+    cost, reach = np.empty(tuple(shape)), np.full(tuple(shape), np.inf)
+    fill_costs(cost, low, solid, vertices, least)
+    reach[tuple(np.round((goal[:2] - low) / CELL).astype(int))] = 0.0
+    while spread(cost, reach):
+        pass
+    return Field(low, cost, reach)
+
+
+def direction(field: Field, here: np.ndarray) -> np.ndarray | None:
+    """Unit vector (2,) along the way to the goal from a place (2,); None outside of the field and at the goal."""
+    a, b = np.round((here - field.low) / CELL).astype(int)
+    inside = 0 <= a < field.reach.shape[0] and 0 <= b < field.reach.shape[1]
+    if not inside or not np.isfinite(field.reach[a, b]):
+        return None
+    steps = np.empty((AHEAD + 1, 2), np.int64)
+    k = farthest_straight(field.reach, field.cost, steps, descend(field.reach, field.cost, a, b, steps))
+    way = field.low + CELL * steps[k] - here
+    length = float(np.linalg.norm(way))
+    return way / length if k > 0 and length > 0.0 else None
+
+
 def resample(points: np.ndarray, step: float) -> np.ndarray:
     """Points evenly spread along a polyline (P, D), about `step` apart; the ends stay."""
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
@@ -68,7 +101,7 @@ def resample(points: np.ndarray, step: float) -> np.ndarray:
     return np.stack([np.interp(at, lengths, column) for column in points.T], axis=1)
 
 
-def _in_the_way(pieces: np.ndarray, low: float, high: float, least: float) -> np.ndarray:
+def in_the_way(pieces: np.ndarray, low: float, high: float, least: float) -> np.ndarray:
     """The pieces at the heights from low to high."""
     margin = least + 0.5
     used = (pieces["count"] > 0) & (pieces["low"] < high + margin) & (pieces["high"] > low - margin)
@@ -155,6 +188,21 @@ def descend(reach, cost, a, b, steps):
         if reach[a, b] == 0.0 or count == steps.shape[0]:
             return count
         _, a, b = cheapest_step(reach, cost, a, b)
+
+
+@entry
+def farthest_straight(reach, cost, steps, count):
+    """The last of `count` cells along a way that is not dearer to reach straight ahead than along it."""
+    a, b = steps[0, 0], steps[0, 1]
+    for k in range(count - 1, 1, -1):
+        da, db = steps[k, 0] - a, steps[k, 1] - b
+        n = 2 * max(abs(da), abs(db))
+        total = 0.5 * (cost[a, b] + cost[a + da, b + db])
+        for i in range(1, n):
+            total += cost[round(a + da * i / n), round(b + db * i / n)]
+        if total / n * CELL * math.hypot(da, db) <= reach[a, b] - reach[a + da, b + db] + 1e-9:
+            return k
+    return min(count - 1, 1)
 
 
 @entry

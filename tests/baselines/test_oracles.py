@@ -333,11 +333,63 @@ def test_a_law_that_knows_the_truth_is_an_oracle_with_a_name():
         find_pilot("informed:informed:follow")
 
 
+def flown_by(actions, truth, chosen):
+    """Velocities in plan, world frame, (B, 2), that the leaders fly by the actions and the stick."""
+    worlds, leader = np.arange(len(truth.leader)), truth.leader
+    x, y = (chosen.speed_limit + chosen.stick_speed) * actions[worlds, leader, :2].T
+    c, s = np.cos(truth.yaw[worlds, leader]), np.sin(truth.yaw[worlds, leader])
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1) + truth.stick[:, :2]
+
+
+def test_an_informed_leader_flies_around_what_is_in_its_way():
+    """Before a wall of 8 m it flies along the path around it, as fast as the stick; in the open it does as the law."""
+    wall = Map().wall((5, -4), (5, 4), 0.3)
+    open_, chosen = (small(map=map, course={"settle": 0.05}, start={"box": (4, 4, 2)}) for map in (None, wall))
+    simulator = Simulator(chosen, 2)
+    simulator.reset(3)
+    simulator.step(np.zeros((2, 4, 4)))
+    truth = read_truth(simulator)
+    waypoint = truth.waypoint.copy()
+    waypoint[:, :, :2] = truth.position[[0, 1], truth.leader][:, None, :2] + [12.0, 0.0]  # straight through the wall
+    stick = np.array([[chosen.stick_speed, 0.0, 0.0]] * 2)
+    truth = truth._replace(waypoint=waypoint, stick=stick)
+    flown = flown_by(find_pilot("informed:zero")(chosen).decide(truth), truth, chosen)
+    for b in range(2):
+        path = find_path(truth.position[b, truth.leader[b]], waypoint[b, 0], truth.piece[b], truth.vertex[b], 0.25)
+        ahead = path[40, :2] - path[0, :2]
+        assert flown[b] @ ahead / np.linalg.norm(ahead) > 0.95 * np.linalg.norm(flown[b])
+        assert abs(flown[b, 1]) > 0.4
+        assert np.linalg.norm(flown[b]) == pytest.approx(chosen.stick_speed)
+    simulator = Simulator(open_, 2)
+    simulator.reset(3)
+    truth = read_truth(simulator)
+    flat = true_observations(truth, open_, 3)
+    alone = find_policy("follow")(scenario(open_, max_neighbors=3)).decide(flat.reshape(-1, flat.shape[-1]))
+    np.testing.assert_array_equal(find_pilot("informed:follow")(open_).decide(truth).reshape(-1, 4), alone)
+
+
+def test_the_way_is_that_of_the_world_as_it_is_now():
+    """A world that is reset to another map gets another way; the answer depends on the truth alone."""
+    chosen = small("LeaderObstacles-v0", course={"settle": 0.05})
+    simulator = Simulator(chosen, 2)
+    kind, truths = find_pilot("informed:zero"), []
+    for seed in (3, 20):
+        simulator.reset(seed)
+        for _ in range(40):
+            simulator.step(np.zeros((2, 4, 4)))
+        truths.append(read_truth(simulator))
+    used = kind(chosen)
+    for truth in (*truths, truths[0]):
+        np.testing.assert_array_equal(used.decide(truth), kind(chosen).decide(truth))
+    assert not np.array_equal(used.decide(truths[0]), used.decide(truths[1]))
+
+
 def test_the_truth_is_worth_it():
     """HardLate: messages are late and lost. The law that knows the truth finishes 15 of 16 flights, on its own 5."""
     task = scenario("HardLate-v1")
     assert outcomes("informed:cohesive", task, range(16))[0] >= 15
     assert outcomes("cohesive", task, range(16))[0] <= 5
+    assert outcomes("informed:follow", scenario("LeaderObstacles-v0"), range(16))[0] >= 14
 
 
 # ------------------------------------------------------------------------------------------------------------ paths
