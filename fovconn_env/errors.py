@@ -80,6 +80,10 @@ class PolicyError(ValueError):
     place = ""  # file, line and function of the user's code that failed, if it is that
 
 
+class OwnError(PolicyError):
+    """The code of an own reward, observation, termination or course failed, as a policy's may."""
+
+
 def is_users(module: str) -> bool:
     """Whether a module, by its name, is not one of this package."""
     return module.partition(".")[0] != _PACKAGE or module.startswith(_OWN)
@@ -104,8 +108,8 @@ def place_of(problem: BaseException) -> str:
 
 
 @contextmanager
-def policy_code(doing: str | Later) -> Iterator[None]:
-    """Around a policy's own code: its errors become a `PolicyError` that says what it was `doing`, type, and place.
+def policy_code(doing: str | Later, kind: type[PolicyError] = PolicyError) -> Iterator[None]:
+    """Around a user's code: its errors become a `PolicyError` that says what it was `doing`, type, and place.
 
     What the package refuses, without the user's code on the way, stays one line: a `SettingError`.
     """
@@ -115,7 +119,7 @@ def policy_code(doing: str | Later) -> Iterator[None]:
         place = place_of(problem)
         if isinstance(problem, FovconnError) and not place:
             raise SettingError(f"{doing} {problem}") from problem
-        error = PolicyError(f"{doing} {type(problem).__name__}: {problem}" + f" ({place})" * bool(place))
+        error = kind(f"{doing} {type(problem).__name__}: {problem}" + f" ({place})" * bool(place))
         error.place = place
         raise error from problem
 

@@ -28,7 +28,7 @@ TEAM_KEYS = ("lambda2", "connected", "n_edges", "success", "collision", "disconn
 def joint_spaces(simulator: Simulator) -> tuple[spaces.Box, spaces.Box]:
     """Observation (N, D) and action (N, 4) of all robots of one world."""
     n = simulator.scenario.n_agents
-    low, high = (np.tile(bound, (n, 1)) for bound in (simulator.world.low, simulator.world.high))
+    low, high = (np.tile(bound, (n, 1)) for bound in simulator.observation_bounds)
     return spaces.Box(low, high), spaces.Box(-1.0, 1.0, (n, len(layout.ACTION)))
 
 
@@ -103,8 +103,24 @@ class JointEnv(PlainSpec, gymnasium.Env[np.ndarray, np.ndarray]):
     __str__ = __repr__  # Gymnasium's has the id, which may have other settings by now
 
     def _info(self) -> dict[str, Any]:
-        rows = self.simulator.infos[0]
-        return {
-            column.name: float(rows[column.name][0]) if column.name in TEAM_KEYS else rows[column.name].copy()
-            for column in layout.INFO
-        }
+        arrays = named_infos(self.simulator, self.simulator.infos)
+        return {name: float(one[0]) if one.ndim == 1 else one[0].copy() for name, one in arrays.items()}
+
+
+def own_infos(simulator: Simulator) -> dict[str, np.ndarray]:
+    """What own functions add to the infos: "reward_<term>", (B, N) each, and outcomes, (B,) of 0 and 1 each; copies."""
+    terms = simulator.reward_terms() if simulator.has_own_reward else {}
+    outcomes = simulator.own_outcomes()
+    return {f"reward_{name}": values.copy() for name, values in terms.items()} | {
+        name: values.astype(np.float64) for name, values in outcomes.items()
+    }
+
+
+def named_infos(simulator: Simulator, rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Infos (B, N) as arrays by name, (B,) of the team's numbers; own reward terms in place of the built-in ones."""
+    infos = {
+        column.name: rows[column.name][:, 0] if column.name in TEAM_KEYS else rows[column.name]
+        for column in layout.INFO
+        if not (simulator.has_own_reward and column.name.startswith("reward_"))
+    }
+    return infos | own_infos(simulator)

@@ -16,6 +16,7 @@ from pettingzoo.utils import parallel_to_aec
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 
 from fovconn_env import layout
+from fovconn_env.envs.joint import own_infos
 from fovconn_env.envs.options import read_options
 from fovconn_env.envs.viewer import RENDER_MODES, Viewer, render_metadata
 from fovconn_env.errors import SettingError, as_numbers
@@ -26,9 +27,10 @@ from fovconn_env.sim.graph import Graph
 from fovconn_env.sim.seeds import Seed, world_seeds
 from fovconn_env.sim.simulator import Simulator
 
-PARTS = ("self", "neighbors", "ranges", "detections")  # the last one if the scenario has such rows
+PARTS = ("self", "neighbors", "ranges")  # of most scenarios
 ACTION_SHAPE = (len(layout.ACTION),)
 INFO_KEYS = tuple(column.name for column in layout.INFO)
+REWARD_KEYS = frozenset(f"reward_{name}" for name in layout.REWARDS)
 Observation = TypeVar("Observation")
 Parts = dict[str, np.ndarray]
 
@@ -37,8 +39,8 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
     """The environment of a scenario, its id or a `Scenario` with settings to change, for PettingZoo: all robots act.
 
     Observations are a `Dict` of 1-D float32 Boxes "self", "neighbors", "ranges", and where cameras report what has no
-    name "detections"; or with `flat=True` one Box of the same numbers in the same order. Actions are
-    `Box(-1, 1, (4,))`. Columns, units and frames: `fovconn_env.layout`.
+    name "detections", and "extra" of own columns; or with `flat=True` one Box of the same numbers in the same order.
+    Actions are `Box(-1, 1, (4,))`. Columns, units and frames: `fovconn_env.layout`.
     Raises `SettingError` for wrong settings, which for an unknown keyword is also a `TypeError`.
     """
 
@@ -94,7 +96,7 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
         self.np_random = np.random.default_rng()  # for wrappers that draw; the worlds have generators of their own
         self.flat = flat
         self.simulator = Simulator(self.scenario)
-        self._cuts = layout.cuts(self.scenario.max_neighbors, self.scenario.max_ranges, self.scenario.n_detections)
+        self._groups = self.simulator.observation_groups
         self.possible_agents = self.scenario.agents
         self.agents: list[str] = []
         self.observation_spaces = {agent: self._observation_space() for agent in self.possible_agents}
@@ -242,12 +244,12 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
         flat = self.simulator.observations[0].copy()
         if self.flat:
             return dict(zip(self.agents, flat, strict=True))
-        if len(self._cuts) == len(PARTS):
+        if tuple(self._groups) != PARTS:
             return {
-                agent: {name: row[cut] for name, cut in zip(PARTS, self._cuts, strict=True)}
+                agent: {name: row[cut] for name, cut in self._groups.items()}
                 for agent, row in zip(self.agents, flat, strict=True)
             }
-        own, neighbors, ranges = self._cuts  # written out, as it is faster
+        own, neighbors, ranges = self._groups.values()  # written out, as it is faster
         return {
             agent: {"self": row[own], "neighbors": row[neighbors], "ranges": row[ranges]}
             for agent, row in zip(self.agents, flat, strict=True)
@@ -256,14 +258,20 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
     def _infos(self) -> dict[str, dict[str, float]]:
         # as plain numbers, which numpy turns into lists in a third of the time that records take
         rows = self.simulator.infos[0].view(np.float64).reshape(-1, len(INFO_KEYS)).tolist()
-        return dict(zip(self.agents, map(dict, map(zip, repeat(INFO_KEYS), rows)), strict=True))
+        infos = dict(zip(self.agents, map(dict, map(zip, repeat(INFO_KEYS), rows)), strict=True))
+        if self.simulator.has_own_reward:
+            infos = {agent: {key: info[key] for key in info if key not in REWARD_KEYS} for agent, info in infos.items()}
+        for name, values in own_infos(self.simulator).items():
+            for info, value in zip(infos.values(), np.broadcast_to(values[0], len(infos)).tolist(), strict=True):
+                info[name] = value
+        return infos
 
     def _observation_space(self) -> spaces.Space:
-        low, high = self.simulator.world.low, self.simulator.world.high
+        low, high = self.simulator.observation_bounds
         if self.flat:
             return spaces.Box(low, high)
-        boxes = (spaces.Box(low[cut], high[cut]) for cut in self._cuts)
-        return spaces.Dict(OrderedDict(zip(PARTS, boxes, strict=False)))  # a plain dict would be sorted
+        boxes = ((name, spaces.Box(low[cut], high[cut])) for name, cut in self._groups.items())
+        return spaces.Dict(OrderedDict(boxes))  # a plain dict would be sorted
 
 
 parallel_env = ParallelEnv

@@ -12,8 +12,7 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from fovconn_env import layout
-from fovconn_env.envs.joint import TEAM_KEYS, joint_spaces
+from fovconn_env.envs.joint import joint_spaces, named_infos
 from fovconn_env.envs.options import read_options
 from fovconn_env.envs.spec import PlainSpec
 from fovconn_env.envs.viewer import Viewer, render_metadata
@@ -88,7 +87,7 @@ class VectorEnv(PlainSpec, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np
         self._viewer.show(self.simulator)
         results = self._empty_results()
         self.simulator.copy_results(results, slice(None))
-        return results.observations, _by_name(results.infos)
+        return results.observations, named_infos(self.simulator, results.infos)
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Apply actions (B, N, 4). The autoreset mode defines what happens to a world that ends.
@@ -119,10 +118,10 @@ class VectorEnv(PlainSpec, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np
         if self.autoreset_mode == AutoresetMode.SAME_STEP and ended.any():
             final, results = results, self._empty_results()
             infos["final_obs"], infos["_final_obs"] = final.observations, ended
-            infos["final_info"], infos["_final_info"] = _by_name(final.infos), ended
+            infos["final_info"], infos["_final_info"] = named_infos(simulator, final.infos), ended
             simulator.reset(mask=ended)
             simulator.copy_results(results, slice(None))
-        infos |= _by_name(results.infos)
+        infos |= named_infos(simulator, results.infos)
         self._viewer.show(simulator)
         return results.observations, rewards, terminations, truncations, infos
 
@@ -167,14 +166,6 @@ class VectorEnv(PlainSpec, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np
 
     def _empty_results(self) -> Results:
         return Results(np.empty_like(self.simulator.observations), np.empty_like(self.simulator.infos))
-
-
-def _by_name(rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Infos (B, N) as arrays, (B,) of the team's numbers."""
-    return {
-        column.name: rows[column.name][:, 0] if column.name in TEAM_KEYS else rows[column.name]
-        for column in layout.INFO
-    }
 
 
 def _parse_mode(mode: AutoresetMode | str) -> AutoresetMode:

@@ -11,6 +11,7 @@ from fovconn_env.maps.corridor import Corridor
 from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios.leader import Recorded
+from fovconn_env.scenarios.own import Columns, CourseFunction, Own, RewardFunction, TerminationFunction
 from fovconn_env.scenarios.settings import (
     Airframe,
     Camera,
@@ -67,10 +68,14 @@ class ScenarioSettings(TypedDict, total=False):
     noise: Noise | Part
     airframe: Airframe | Part
     start: Start | Part
-    course: Course | Part
-    reward: Reward | Part
+    course: Course | Part | CourseFunction
+    reward: Reward | Part | RewardFunction
     map: Map | Forest | Corridor | str | Path | Part | None
     faults: Sequence[Fault | Part]
+    own: Own | None
+    termination: TerminationFunction | None
+    observation: Columns | None
+    drop: str | Sequence[str]
 
 
 class Settings(ScenarioSettings, total=False):

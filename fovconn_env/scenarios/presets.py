@@ -7,7 +7,7 @@ import inspect
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, Unpack, cast
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios.hard import TASKS
 from fovconn_env.scenarios.keywords import Part, ScenarioSettings
 from fovconn_env.scenarios.leader import Recorded
+from fovconn_env.scenarios.own import REGISTERED, find_registered, take_own
 from fovconn_env.scenarios.reader import read_group, read_number
 from fovconn_env.scenarios.scenario import GROUPS, Scenario
 from fovconn_env.scenarios.settings import (
@@ -166,7 +167,8 @@ def scenario(
 ) -> Scenario:
     """A scenario by id (with or without "fovconn/"), or a `Scenario`, with settings changed.
 
-    An id names a preset, at a level of `LEVELS`, or a task of `HARD`.
+    An id names a preset, at a level of `LEVELS`, a task of `HARD`, or what was registered. A function as `reward`,
+    `course` or `termination`, `Columns` as `observation`, and `drop` are of your own: docs/own.md.
 
     One setting of a group goes by its dotted name: `scenario("LeaderFollow-v0", **{"camera.a_min": 0.5})`; a map and a
     leader may be the name of a file (`Map.from_file`, `Recorded.from_file`), or a mapping of their arguments with the
@@ -179,6 +181,8 @@ def scenario(
     changes: dict[str, Any] = dict(settings)
     if isinstance(base, str):
         name, known = base.removeprefix("fovconn/"), PRESETS | HARD
+        if name not in known and find_registered(name) is not None:
+            known |= REGISTERED
         if name not in known:
             raise SettingError(
                 f"scenario must be one of {', '.join(known)}, got {shown(base)}: {closest(name, tuple(known))}"
@@ -192,6 +196,7 @@ def scenario(
         if level != 1:
             hint = "it has the settings of its level"
             raise SettingError(f"level must go with an id, got {shown(level)} with a Scenario: {hint}")
+    changes["own"] = take_own(cast("Scenario", base).own, changes)
     for name, kind in (("map", Map), ("leader", Recorded)):
         file = changes.get(name)
         if isinstance(file, (str, Path)) and Path(file).suffix:  # another word is Scenario's to refuse

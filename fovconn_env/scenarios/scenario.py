@@ -17,6 +17,7 @@ from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios.checks import NAME_LENGTH, check_scenario
 from fovconn_env.scenarios.leader import Recorded
+from fovconn_env.scenarios.own import Own, read_own
 from fovconn_env.scenarios.params import pack
 from fovconn_env.scenarios.reader import read_faults, read_group, read_leader, read_map, read_number
 from fovconn_env.scenarios.settings import (
@@ -101,10 +102,11 @@ class Scenario:
     reward: Reward = field(default_factory=Reward)
     map: Map | Forest | Corridor | None = setting(None, "obstacles: given, drawn at random, or none")
     faults: tuple[Fault, ...] = setting((), f"what dies in an episode, see Fault; at most {MAX_FAULTS}")
+    own: Own | None = setting(None, "own functions, see docs/own.md: `scenario(..., reward=f)` sets it")
 
     def __post_init__(self) -> None:
         values = {name: read_group(kind, getattr(self, name), f"Scenario.{name}") for name, kind in GROUPS.items()}
-        values |= {"leader": read_leader(self.leader), "faults": read_faults(self.faults)}
+        values |= {"leader": read_leader(self.leader), "faults": read_faults(self.faults), "own": read_own(self.own)}
         values["map"] = copy.copy(read_map(self.map))  # a Map can be added to, a scenario is frozen
         for item in dataclasses.fields(self):
             value = values.get(item.name, read_number(getattr(self, item.name)))
@@ -135,7 +137,7 @@ class Scenario:
 
     @property
     def observation_size(self) -> int:
-        """Length of one robot's flat observation."""
+        """Length of one robot's flat observation, of built-in columns."""
         return layout.observation_size(self.max_neighbors, self.max_ranges, self.n_detections)
 
     @property

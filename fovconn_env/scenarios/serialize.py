@@ -16,6 +16,7 @@ import numpy as np
 
 from fovconn_env.errors import SettingError, shown
 from fovconn_env.maps.obstacles import Map
+from fovconn_env.scenarios.own import Own
 from fovconn_env.scenarios.reader import read_group
 from fovconn_env.scenarios.scenario import Scenario
 
@@ -32,6 +33,7 @@ _LATER: dict[tuple[str, str], Any] = {
     ("Camera", "gate"): 1.0,
     ("Noise", "bearing_noise"): 0.0,
     ("Noise", "depth_noise"): 0.0,
+    ("Scenario", "own"): None,
 }
 
 
@@ -56,7 +58,7 @@ def plain_keywords(scenario: Scenario, keywords: Mapping[str, Any]) -> dict[str,
     names, result = {field.name for field in dataclasses.fields(scenario)}, {}
     for name, value in keywords.items():
         group, _, inner = name.partition(".")
-        if group in names:
+        if group in names and not callable(value):  # an own function, which no file holds: Gymnasium refuses it
             value = getattr(getattr(scenario, group), inner) if inner else getattr(scenario, group)
         result[name] = plain(value)
     return result
@@ -66,6 +68,8 @@ def plain(value: Any) -> Any:
     """Settings as mappings, lists, numbers and words; other objects as they are."""
     if isinstance(value, Map):
         return {"type": "Map", "obstacles": plain(value.obstacles())}
+    if isinstance(value, Own):
+        return value.to_json()
     if dataclasses.is_dataclass(value):
         kind, fields = type(value).__name__, {}
         for item in dataclasses.fields(value):

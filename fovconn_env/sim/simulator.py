@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import io
 import itertools
 import os
 import pickle
@@ -21,11 +22,13 @@ from fovconn_env.kernel import step
 from fovconn_env.kernel.jit import code_of
 from fovconn_env.kernel.world import operator
 from fovconn_env.scenarios.leader import Recorded
+from fovconn_env.scenarios.own import Own, seen_columns
 from fovconn_env.scenarios.params import SWITCHES
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.scenarios.sizes import MAX_BATCH_BYTES, world_bytes
 from fovconn_env.sim.graph import Graph, observed_graph
 from fovconn_env.sim.memory import NO_ACTIONS, NO_MASK, allocate, clear, frames_of, place, row_views, scratch
+from fovconn_env.sim.own import Extension, own_memory
 from fovconn_env.sim.seeds import Seed, world_seeds
 from fovconn_env.sim.starts import EpisodeStart, StartSampler, check_start, draw_faults
 
@@ -86,6 +89,9 @@ class Simulator:
         self._frames = frames_of(scenario)
         self.world, self.state = allocate(scenario, n_worlds, 1, 1)
         self.state.episode["over"] = True  # until the first reset
+        if scenario.own is not None and scenario.own.changes_observation:
+            self.state = own_memory(self.state, scenario)
+        self._own = None if scenario.own is None else Extension(scenario, self.state, self.world)
         self._sampler = StartSampler(rules)
         self.generators: list[np.random.Generator | None] = [None] * n_worlds  # from a world's first reset on
         self.seeds: list[int | None] = [None] * n_worlds  # of the worlds' starts; None without a seed
@@ -111,12 +117,14 @@ class Simulator:
     @property
     def observations(self) -> np.ndarray:
         """(B, N, D) float32, a flat observation for each robot."""
-        return self.state.flat
+        own = self._own
+        return self.state.flat if own is None or own.observations is None else own.observations
 
     @property
     def rewards(self) -> np.ndarray:
         """(B, N) of the last step."""
-        return self.state.reward
+        own = self._own
+        return self.state.reward if own is None or own.own.reward is None else own.rewards
 
     @property
     def terminated(self) -> np.ndarray:
@@ -137,6 +145,31 @@ class Simulator:
     def infos(self) -> np.ndarray:
         """(B, N) records of `layout.INFO`."""
         return self.state.info
+
+    @property
+    def observation_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of `observations`, (D,) float32 each."""
+        return (self.world.low, self.world.high) if self._own is None else (self._own.seen.low, self._own.seen.high)
+
+    @property
+    def observation_groups(self) -> dict[str, slice]:
+        """Where "self", "neighbors", "ranges", "detections" and own columns, "extra", lie in `observations`."""
+        return seen_columns(self.scenario, self.world.low, self.world.high).groups
+
+    @property
+    def has_own_reward(self) -> bool:
+        """Whether an own function rewards; the terms in `infos` are then not what is paid."""
+        return self._own is not None and self._own.own.reward is not None
+
+    def reward_terms(self) -> dict[str, np.ndarray]:
+        """The terms whose sum is `rewards`, by name, (B, N) each; none before the first step of an own reward."""
+        if self._own is not None and self._own.own.reward is not None:
+            return dict(self._own.terms)
+        return {name: self.infos[f"reward_{name}"] for name in layout.REWARDS}
+
+    def own_outcomes(self) -> dict[str, np.ndarray]:
+        """Whether an own termination ended the episode, by its name, (B,) bool each."""
+        return {} if self._own is None else dict(self._own.outcomes)
 
     def poses(self) -> np.ndarray:
         """The truth, (B, N, 4) float64: x, y, z, yaw in the world frame."""
@@ -227,6 +260,8 @@ class Simulator:
             self.seeds[b] = None if given is not None else seeds[b]
             self._write_start(b, start, key)
         self._run_worlds(NO_ACTIONS, chosen, self.warm_ticks)
+        if self._own is not None:
+            self._own.begin(self.state, chosen)
         return self.observations
 
     def step(self, actions: np.ndarray, *, into: Results | None = None) -> np.ndarray:
@@ -254,7 +289,15 @@ class Simulator:
         self._check_open()
         if not actions.flags.carray:
             actions = actions.copy()  # of the type for which the code is compiled, as NO_ACTIONS
-        self._run_worlds(actions, NO_MASK, 0, into)
+        own = self._own
+        if own is None:
+            self._run_worlds(actions, NO_MASK, 0, into)
+            return self.observations
+        own.before_step(self.state)
+        self._run_worlds(actions, NO_MASK, 0)
+        own.after_step(self.state, self.world, actions)
+        if into is not None:
+            self.copy_results(into, slice(None))
         return self.observations
 
     def copy_results(self, into: Results, worlds: slice | np.ndarray) -> None:
@@ -356,6 +399,8 @@ class Simulator:
         for name, k in _STICK.items():
             stick = np.clip(episode[name].astype(np.float32), self.world.low[k], self.world.high[k])
             own[name][running] = np.where(is_leader, stick[:, None], 0.0)[running]
+        if self._own is not None:
+            self._own.observe(self.state, running)
 
     def _copy_generator(self, b: int) -> np.random.Generator:
         """A copy of world b's generator; before the first reset a new one, so that copies of a new simulator differ."""
@@ -463,4 +508,36 @@ class Simulator:
         self.state = self.state._replace(**row_views(self.state.flat, self.scenario))
 
     def __deepcopy__(self, memo: dict) -> Simulator:
-        return pickle.loads(pickle.dumps(self))
+        return _deep_copy(self)
+
+
+class _Pickler(pickle.Pickler):
+    """Leaves out own functions, which of a notebook cannot be pickled: a copy has the same ones."""
+
+    def __init__(self, file: io.BytesIO, shared: dict[int, Own]) -> None:
+        super().__init__(file)
+        self._shared = shared
+
+    def persistent_id(self, obj: Any) -> int | None:
+        if not isinstance(obj, Own):
+            return None
+        self._shared[id(obj)] = obj
+        return id(obj)
+
+
+class _Unpickler(pickle.Unpickler):
+    """Puts in what `_Pickler` left out."""
+
+    def __init__(self, file: io.BytesIO, shared: dict[int, Own]) -> None:
+        super().__init__(file)
+        self._shared = shared
+
+    def persistent_load(self, pid: int) -> Own:
+        return self._shared[pid]
+
+
+def _deep_copy(simulator: Simulator) -> Simulator:
+    file, shared = io.BytesIO(), {}
+    _Pickler(file, shared).dump(simulator)
+    file.seek(0)
+    return _Unpickler(file, shared).load()

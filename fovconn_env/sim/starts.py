@@ -11,12 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fovconn_env.errors import SettingError, as_numbers, rule
+from fovconn_env.errors import OwnError, SettingError, as_numbers, policy_code, rule
 from fovconn_env.kernel import records, step
 from fovconn_env.maps.corridor import Corridor
 from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map
 from fovconn_env.maps.outlines import FAR
+from fovconn_env.scenarios.own import name_of
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.scenarios.settings import FAULTS
 from fovconn_env.sim.memory import NO_ACTIONS, allocate, clear, frames_of, place, scratch
@@ -52,8 +53,21 @@ class StartSampler:
     def draw(self, rng: np.random.Generator, poses: np.ndarray | None = None) -> EpisodeStart:
         """A start that keeps the scenario's rules. Given `poses` (N, 4) are used if nothing collides.
 
-        Raises `ValueError` if no start is found, or if given poses overlap or touch an obstacle.
+        An own course gets it, and returns what is flown. Raises `ValueError` if no start is found, or if given poses
+        overlap or touch an obstacle, and `OwnError` where the own course fails.
         """
+        start, own = self._draw(rng, poses), self.scenario.own
+        if own is None or own.course is None:
+            return start
+        name, where = name_of(own.course), self.scenario.name
+        with policy_code(f"own course {name} failed on {where}:", OwnError):
+            changed = own.course(start, rng)
+        kind = isinstance(changed, EpisodeStart)
+        rule(kind, f"own course {name}", "an EpisodeStart", changed, "return start._replace(waypoints=...)")
+        return check_start(changed, self.scenario)
+
+    def _draw(self, rng: np.random.Generator, poses: np.ndarray | None) -> EpisodeStart:
+        """A start by the settings alone."""
         random_map = isinstance(self.scenario.map, (Forest, Corridor))
         for _ in range(MAX_MAPS if random_map else 1):
             start = self._draw_once(rng, poses)

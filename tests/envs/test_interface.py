@@ -186,7 +186,7 @@ def test_spaces(name, flat):
         assert env.action_space(agent) is env.action_space(agent) is env.action_spaces[agent]
         space = env.observation_space(agent)
         leaves = [space] if flat else list(space.spaces.values())
-        assert flat or list(space.spaces) == list(PARTS)[: 4 if env.scenario.n_detections else 3]
+        assert flat or list(space.spaces) == [*PARTS, *(["detections"] if env.scenario.n_detections else [])]
         assert sum(leaf.shape[0] for leaf in leaves) == env.scenario.observation_size
         for leaf in (*leaves, env.action_space(agent), env.state_space):
             assert isinstance(leaf, gymnasium.spaces.Box)

@@ -16,13 +16,16 @@ from fovconn_env import Scenario
 from fovconn_env.envs.joint import JointEnv
 from fovconn_env.envs.vector import VectorEnv
 from fovconn_env.scenarios.keywords import Settings
+from fovconn_env.scenarios.own import KEYWORDS
 
 BUILD = [fovconn_env.scenario, fovconn_env.env, fovconn_env.raw_env, JointEnv, VectorEnv]
 BUILD += [partial(overload, None) for overload in typing.get_overloads(fovconn_env.ParallelEnv.__init__)]
 
 
 def test_settings_are_the_fields_of_a_scenario():
-    assert Settings.__annotations__.keys() == {"level"} | {field.name for field in dataclasses.fields(Scenario)}
+    assert Settings.__annotations__.keys() == {*KEYWORDS, "level"} | {
+        field.name for field in dataclasses.fields(Scenario)
+    }
     assert Settings.__required_keys__ == frozenset()
 
 

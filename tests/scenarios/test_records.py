@@ -91,7 +91,7 @@ DERIVED = {*"round_time travel_time rest_ticks step_time axis_x axis_y axis_z po
 DERIVED |= set("ideal_camera frames_per_tick latency_ticks sight_hold burst_end burst_start false_share".split())
 # Settings that are no number, or reach the kernels in others.
 NOT_PLAIN = {
-    "": {"name", "map", "faults"},
+    "": {"name", "map", "faults", "own"},
     "camera": {"optical_axis"},  # as axis_x, axis_y, axis_z
     "start": {"box"},
     "power": {"team"},  # in the gains, where N is larger

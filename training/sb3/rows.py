@@ -27,6 +27,7 @@ from fovconn_env.training.sb3.teams import (
     observation_space,
     observations,
     outcomes,
+    reward_terms,
     row_of,
 )
 
@@ -39,7 +40,8 @@ class RobotsVecEnv(VecEnv):
     Worlds that end are reset at once. Observations (R, D) float32, or with `state=True` a `Dict` of "observation" and
     the world's privileged "state" for centralised critics. infos follow SB3: `terminal_observation`,
     `TimeLimit.truncated` and `is_success` at an end, and `EPISODE_KEYS` of the episode that ended: shares from 0 to 1
-    of flights that succeeded, were connected in every step, or ended by a collision. What SB3 asks of a row's
+    of flights that succeeded, were connected in every step, or ended by a collision; and own outcomes. With
+    `reward_terms=True` they have the reward's terms in every step, "reward_<term>". What SB3 asks of a row's
     environment by name, its world answers: see `World`.
     """
 
@@ -50,9 +52,11 @@ class RobotsVecEnv(VecEnv):
         *,
         state: bool = False,
         weights: npt.ArrayLike | None = None,
+        reward_terms: bool = False,
         render_mode: str | None = None,
         n_threads: int | None = None,
     ) -> None:
+        self.reward_terms = reward_terms
         self.scenarios, self.with_state, self.render_mode = list(scenarios), state, render_mode
         self.drawn, same_clock = weights is not None, render_mode is not None
         check_scenarios(self.scenarios, n_worlds, same_team=state, same_clock=same_clock, drawn=self.drawn)
@@ -134,12 +138,12 @@ class RobotsVecEnv(VecEnv):
             simulator.step(actions.reshape(simulator.n_worlds, team.n_agents, -1))
             rewards[team.rows], dones[team.rows] = simulator.rewards.ravel(), np.repeat(simulator.over, team.n_agents)
             self._split[team.worlds] |= ~team.connected()
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        infos = reward_terms(self.teams) if self.reward_terms else [{} for _ in range(self.num_envs)]
         if dones.any():
             self._before_reset()
             last = observations(self.teams, self.with_state)
             for row, outcome in outcomes(self.teams, self._split):
-                infos[row] = {**outcome, "terminal_observation": row_of(last, row)}
+                infos[row] |= {**outcome, "terminal_observation": row_of(last, row)}
             for team in self.teams:
                 self._split[team.worlds][team.simulator.over] = False
                 if team.simulator.over.any():
@@ -255,6 +259,7 @@ def make_vec_env(
     *,
     state: bool = False,
     weights: npt.ArrayLike | None = None,
+    reward_terms: bool = False,
     monitor: bool = True,
     render_mode: str | None = None,
     n_threads: int | None = None,
@@ -264,13 +269,19 @@ def make_vec_env(
 
     Takes a scenario, its id or a `Scenario`, or a list of them, among which the worlds are shared out, and settings to
     change. state adds the privileged state for a critic: see `AsymmetricPolicy`. weights, one a scenario of the list:
-    worlds draw the scenario that they fly next, see `RobotsVecEnv`.
+    worlds draw the scenario that they fly next, see `RobotsVecEnv`. reward_terms: infos have them in every step.
     """
-    own = ("n_worlds", "seed", "state", "weights", "monitor", "render_mode", "n_threads")
+    own = ("n_worlds", "seed", "state", "weights", "reward_terms", "monitor", "render_mode", "n_threads")
     check_keywords("make_vec_env", settings, own)
     chosen = [base] if isinstance(base, (str, Scenario, Mapping)) else base
     scenarios = [scenario(one, **settings) for one in chosen]
-    options = {"state": state, "weights": weights, "render_mode": render_mode, "n_threads": n_threads}
+    options = {
+        "state": state,
+        "weights": weights,
+        "reward_terms": reward_terms,
+        "render_mode": render_mode,
+        "n_threads": n_threads,
+    }
     env = RobotsVecEnv(scenarios, n_worlds, **options)
     env.seed(seed)
     return Monitor(env, info_keywords=EPISODE_KEYS) if monitor else env

@@ -123,7 +123,7 @@ def observation_space(teams: Sequence[Team], with_state: bool) -> spaces.Space:
         return spaces.Box(np.min(low, axis=0), np.max(high, axis=0))
 
     simulators = [simulator for team in teams for simulator in team.simulators]
-    space = joint([(simulator.world.low, simulator.world.high) for simulator in simulators])
+    space = joint([simulator.observation_bounds for simulator in simulators])
     if not with_state:
         return space
     return spaces.Dict({"observation": space, "state": joint([s.privileged_bounds() for s in simulators])})
@@ -155,6 +155,23 @@ def outcomes(teams: Sequence[Team], split: np.ndarray) -> Iterator[tuple[int, di
                 "connected": float(not split[team.worlds.start + b]),
                 "collision": float(episode["collision"]),
             }
+            own = team.simulator_of(b).own_outcomes()
+            outcome |= {name: float(values[b]) for name, values in own.items()}
             first = team.rows.start + b * team.n_agents
             for row in range(first, first + team.n_agents):
                 yield row, outcome
+
+
+def reward_terms(teams: Sequence[Team]) -> list[dict[str, Any]]:
+    """The terms of each row's reward in the last step, as "reward_<term>"."""
+    infos: list[dict[str, Any]] = []
+    for team in teams:
+        by_world: dict[int, list[dict[str, Any]]] = {}
+        for k, simulator in zip(team.numbers, team.simulators, strict=True):
+            here, terms = np.flatnonzero(team.flown == k), simulator.reward_terms()
+            names = [f"reward_{name}" for name in terms]
+            values = np.stack([one[here] for one in terms.values()], axis=-1).tolist()
+            for b, robots in zip(here.tolist(), values, strict=True):
+                by_world[b] = [dict(zip(names, one, strict=True)) for one in robots]
+        infos += [info for b in range(team.simulator.n_worlds) for info in by_world[b]]
+    return infos
