@@ -6,12 +6,8 @@ Field of View Constraints". Start with `parallel_env("LeaderFollow-v0")`.
 
 from __future__ import annotations
 
-from functools import partial
-
-import gymnasium
-import pettingzoo
-
 from fovconn_env.envs.parallel import ParallelEnv, env, parallel_env, raw_env
+from fovconn_env.envs.register import announce, register
 from fovconn_env.flights.flight import Flight
 from fovconn_env.flights.recorder import Recorder
 from fovconn_env.flights.recording import Recording
@@ -19,6 +15,7 @@ from fovconn_env.maps.corridor import Corridor
 from fovconn_env.maps.forest import Forest
 from fovconn_env.maps.obstacles import Map
 from fovconn_env.scenarios.leader import Recorded
+from fovconn_env.scenarios.own import Columns, OnBoard, Own, Step
 from fovconn_env.scenarios.presets import HARD, LEVELS, PRESETS, scenario
 from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.scenarios.settings import (
@@ -38,6 +35,7 @@ from fovconn_env.scenarios.settings import (
 )
 from fovconn_env.sim.graph import Graph
 from fovconn_env.sim.simulator import Simulator
+from fovconn_env.sim.starts import EpisodeStart
 from fovconn_env.version import __version__
 
 __all__ = [
@@ -47,8 +45,10 @@ __all__ = [
     "Airframe",
     "Camera",
     "Clock",
+    "Columns",
     "Corridor",
     "Course",
+    "EpisodeStart",
     "Fault",
     "Flight",
     "Flooding",
@@ -56,6 +56,8 @@ __all__ = [
     "Graph",
     "Map",
     "Noise",
+    "OnBoard",
+    "Own",
     "ParallelEnv",
     "PowerIteration",
     "Radio",
@@ -67,23 +69,15 @@ __all__ = [
     "Scenario",
     "Simulator",
     "Start",
+    "Step",
     "YawEstimator",
     "__version__",
     "env",
     "parallel_env",
     "raw_env",
+    "register",
     "scenario",
 ]
 
-if hasattr(pettingzoo, "register"):  # from PettingZoo 1.27 on
-    for _name in (*PRESETS, *HARD):
-        pettingzoo.register("parallel", f"fovconn/{_name}", partial(parallel_env, _name))
-        pettingzoo.register("aec", f"fovconn/{_name}", partial(env, _name))
-
 for _name in (*PRESETS, *HARD):
-    gymnasium.register(
-        f"fovconn/{_name}",
-        entry_point="fovconn_env.envs.joint:JointEnv",
-        vector_entry_point="fovconn_env.envs.vector:VectorEnv",
-        kwargs={"base": _name},
-    )
+    announce(_name)

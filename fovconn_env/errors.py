@@ -32,6 +32,10 @@ class SettingTypeError(SettingError, TypeError):
     """A value of the wrong type, or a keyword that there is not."""
 
 
+class MissingPlugin(SettingError):
+    """A file names an id that code of one's own registers, and no such code is loaded."""
+
+
 class MachineError(FovconnError, OSError):
     """The machine lacks what is needed: a display, memory, room on a disk."""
 

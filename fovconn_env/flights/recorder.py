@@ -50,7 +50,13 @@ class Recorder(Observer):
         self._attach(simulator)
         seed = simulator.seeds[self.world]
         rule(seed is not None, "seed", "given to a flight that is recorded", seed, "it is drawn again from its seed")
-        changes = {"max_cycles": simulator.max_cycles, "leader": simulator.leader}  # which may be set at run time
+        changes: dict[str, Any] = {
+            "max_cycles": simulator.max_cycles,
+            "leader": simulator.leader,
+        }  # which may be set at run time
+        own = simulator.scenario.own
+        if own is not None and not own.id and not own.changes_flight:
+            changes["own"] = None  # the flight is the same without, and no file holds code
         scenario = dataclasses.replace(simulator.scenario, **changes)
         self._origin = {"scenario": scenario, "starts": simulator.starts, "seed": seed, "poses": poses}
         self._sticks: list[tuple[float, ...]] = []

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fovconn_env.errors import FovconnError, SettingError, rule
+from fovconn_env.errors import FovconnError, MissingPlugin, SettingError, rule
 from fovconn_env.fields import check_keys
 from fovconn_env.files import RECORDING, Archive, Damaged, one_line, read_archive, write_archive
 from fovconn_env.flights.checks import check_recording, check_versions
@@ -84,7 +84,8 @@ def load(path: str | Path) -> Recording:
     """Read a recording.
 
     Raises `OSError` for a file that cannot be read, `files.OtherKind` for one of something else, `files.Damaged` for
-    one that is cut off or changed, and `OtherVersion` for one whose settings are not those of this version.
+    one that is cut off or changed, `MissingPlugin` for one of a scenario with functions that nobody has registered, and
+    `OtherVersion` for one whose settings are not those of this version.
     """
     return from_archive(read_archive(Path(path), RECORDING), printable(str(path)))
 
@@ -100,6 +101,8 @@ def from_archive(archive: Archive, path: str) -> Recording:
     try:
         task, same = scenario_from_json(header["scenario"]), header["starts"] == header["scenario"]
         scenarios = {"scenario": task, "starts": task if same else scenario_from_json(header["starts"])}
+    except MissingPlugin as problem:
+        raise MissingPlugin(f"{path} needs a plugin: {one_line(problem)}") from problem
     except SettingError as problem:
         other = _differences(header["versions"])
         if other:

@@ -116,9 +116,10 @@ def steps(
 def decide(policy: Policy | TeamOracle, simulator: Simulator) -> np.ndarray:
     """A policy's actions (B, N, 4) float64 in the next step, 0 in worlds whose episode is over; raises as `rollout`.
 
-    A policy that is `memoryless` gets the observations of the other worlds alone.
+    A policy that is `memoryless` gets the observations of the other worlds alone. Observations are of built-in columns:
+    a model that was trained on others makes them of these.
     """
-    observations, going = simulator.observations, ~simulator.over
+    observations, going = simulator.built_in_observations, ~simulator.over
     shape, all_go = (*observations.shape[:2], 4), going.all()
     fewer = not all_go and getattr(policy, "memoryless", False)
     if fewer:

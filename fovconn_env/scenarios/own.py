@@ -6,6 +6,7 @@ They are code, so no file holds them: `register` gives them an id, and files nam
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from fovconn_env import layout
-from fovconn_env.errors import SettingError, SettingTypeError, as_numbers, closest, is_list, rule, shown
+from fovconn_env.errors import MissingPlugin, SettingError, SettingTypeError, as_numbers, closest, is_list, rule, shown
 
 if TYPE_CHECKING:
     from fovconn_env.scenarios.scenario import Scenario
@@ -108,6 +109,12 @@ class Own:
         rule(words, "drop", "names of groups and columns", drop, 'write drop=("ranges", "neighbors.age")')
         object.__setattr__(self, "drop", tuple(drop))
 
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """What is registered by a module is pickled by its name, functions that have none included."""
+        if self.id and self.plugin != "__main__":
+            return _registered, (self.id, self.plugin)
+        return super().__reduce_ex__(protocol)
+
     def __bool__(self) -> bool:
         parts = (self.reward, self.termination, self.course, self.observation)
         return any(part is not None for part in parts) or bool(self.drop)
@@ -138,6 +145,15 @@ KEYWORDS = (*PARTS, "drop")  # of `scenario`; a reward and a course are settings
 REGISTERED: dict[str, Scenario] = {}  # by id
 
 
+def _registered(name: str, plugin: str) -> Own:
+    """Own functions in another process, of a pickle: which may import, as no other file may."""
+    if name not in REGISTERED:
+        importlib.import_module(plugin)
+    own = REGISTERED[name].own
+    assert own is not None
+    return own
+
+
 def name_of(function: Any) -> str:
     """A function's name for messages, terms and outcomes."""
     if isinstance(function, Columns):
@@ -165,15 +181,15 @@ def read_own(value: Any) -> Own | None:
     if value is None or isinstance(value, Own):
         return value or None
     hint = "write scenario(..., reward=f)"
-    if not isinstance(value, Mapping) or not isinstance(value.get("id"), str):
+    if not isinstance(value, Mapping) or not isinstance(value.get("id"), str) or len(value) > 3:
         raise SettingTypeError(f"Scenario.own must be an Own or None, got {shown(value)}: {hint}")
     name, plugin = value["id"], str(value.get("plugin", ""))
     found = find_registered(name)
     own = None if found is None else found.own
     if own is None or own.plugin != plugin:
-        raise SettingError(
+        raise MissingPlugin(
             f"{shown(name)} must be registered by the plugin {shown(plugin)}, got no such plugin loaded: if you trust "
-            f"it, import it before, or write fovconn --plugin {plugin}; a file never loads it"
+            "it, import it before, or name it behind fovconn --plugin; a file never loads it"
         )
     return own
 

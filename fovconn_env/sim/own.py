@@ -14,7 +14,7 @@ from fovconn_env.errors import OwnError, SettingError, as_numbers, policy_code, 
 from fovconn_env.kernel.records import State, World
 from fovconn_env.scenarios.own import Columns, OnBoard, Own, Step, name_of, seen_columns
 from fovconn_env.scenarios.scenario import Scenario
-from fovconn_env.sim.memory import row_views, zeros
+from fovconn_env.sim.memory import observation_bounds, row_views, zeros
 
 # The fields of the simulator's records that are public; docs/own.md has their meaning.
 ROBOTS: Sequence[str] = (
@@ -33,6 +33,46 @@ def own_memory(state: State, scenario: Scenario) -> State:
     return state._replace(flat=flat, **row_views(flat, scenario))
 
 
+class OwnObservation:
+    """What robots observe where columns are dropped, or added by a function, of the built-in columns alone."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario, self.own = scenario, scenario.own or Own()
+        self.seen = seen_columns(scenario, *observation_bounds(scenario))
+
+    @property
+    def size(self) -> int:
+        """Length of one robot's observation."""
+        return len(self.seen.low)
+
+    def __call__(self, flat: np.ndarray, into: np.ndarray | None = None) -> np.ndarray:
+        """Observations (R, size) float32 of built-in ones, (R, D) float32; written to `into` if there is one."""
+        result = np.empty((len(flat), self.size), np.float32) if into is None else into
+        for target, source in self.seen.runs:
+            result[:, target] = flat[:, source]
+        if self.own.observation is not None:
+            result[:, self.seen.n_kept :] = self._compute(self.own.observation, frozen(flat))
+        return result
+
+    def _compute(self, columns: Columns, flat: np.ndarray) -> np.ndarray:
+        """Own columns, (R, k) float64."""
+        scenario, name, shape = self.scenario, name_of(columns), (len(flat), len(columns.names))
+        sizes = scenario.max_neighbors, scenario.max_ranges, scenario.n_detections
+        rows = OnBoard(*layout.rows(flat, *sizes), layout.detections(flat, scenario.n_detections))
+        with policy_code(f"own observation {name} failed on {scenario.name}:", OwnError):
+            returned = columns.function(rows)
+        field = f"own observation {name}"
+        values = as_numbers(field, returned)
+        fine = values.shape == shape or (shape[1] == 1 and values.shape == shape[:1])
+        rule(fine, field, f"of the shape {shape}", values.shape, f"(robots, columns {', '.join(columns.names)})")
+        values = values.reshape(shape)
+        if not np.isfinite(values).all():
+            r, k = np.argwhere(~np.isfinite(values))[0].tolist()
+            column, hint = columns.names[k], "rows that are not present are zeros"
+            raise SettingError(f"{field} must be finite, got {values[r, k]} in column {column} of row {r}: {hint}")
+        return np.clip(values, columns.low, columns.high)
+
+
 class Extension:
     """Rewards, outcomes and observations of B worlds by the functions of their scenario.
 
@@ -40,14 +80,15 @@ class Extension:
     moved; what it would have written is then as before the step.
     """
 
-    def __init__(self, scenario: Scenario, state: State, world: World) -> None:
+    def __init__(self, scenario: Scenario, state: State) -> None:
         own = scenario.own or Own()
         shape = state.reward.shape
         self.scenario, self.own = scenario, own
         self.rewards = np.zeros(shape)  # (B, N)
         self.terms: dict[str, np.ndarray] = {}  # (B, N) each, of the last step
         self.outcomes: dict[str, np.ndarray] = {}  # (B,) bool each
-        self.seen = seen_columns(scenario, world.low, world.high)
+        self.observation = OwnObservation(scenario)
+        self.seen = self.observation.seen
         self.observations: np.ndarray | None = None  # (B, N, D), where they are not the built-in ones
         if own.changes_observation:
             self.observations = np.zeros((*shape, len(self.seen.low)), np.float32)
@@ -88,18 +129,14 @@ class Extension:
         """Bring the masked worlds' observations up to date."""
         if self.observations is None or not mask.any():
             return
-        every = bool(mask.all())
-        flat = state.flat if every else state.flat[mask]
-        into = self.observations if every else np.empty((*flat.shape[:2], len(self.seen.low)), np.float32)
-        for target, source in self.seen.runs:
-            into[..., target] = flat[..., source]
-        columns = self.own.observation
-        if columns is not None:
-            values = self._own_columns(columns, frozen(flat.reshape(-1, flat.shape[-1])))
-            into[..., self.seen.n_kept :] = values.reshape(*flat.shape[:2], -1)
-            dead = ~(state.body["alive"] if every else state.body["alive"][mask])
-            if dead.any():
-                into[dead, self.seen.n_kept :] = np.clip(0.0, columns.low, columns.high)
+        every, columns = bool(mask.all()), self.own.observation
+        flat, alive = state.flat, state.body["alive"]
+        into = self.observations
+        if not every:
+            flat, alive, into = flat[mask], alive[mask], np.empty((int(mask.sum()), *into.shape[1:]), np.float32)
+        self.observation(flat.reshape(-1, flat.shape[-1]), into.reshape(-1, into.shape[-1]))
+        if columns is not None and not alive.all():
+            into[~alive, self.seen.n_kept :] = np.clip(0.0, columns.low, columns.high)
         if not every:
             self.observations[mask] = into
 
@@ -183,24 +220,6 @@ class Extension:
             episode["terminated"] |= ended
             episode["over"] |= ended
             episode["truncated"] &= ~ended
-
-    def _own_columns(self, columns: Columns, flat: np.ndarray) -> np.ndarray:
-        """Own columns, (R, k) float32, of flat observations (R, D)."""
-        scenario, name, shape = self.scenario, name_of(columns), (len(flat), len(columns.names))
-        sizes = scenario.max_neighbors, scenario.max_ranges, scenario.n_detections
-        rows = OnBoard(*layout.rows(flat, *sizes), layout.detections(flat, scenario.n_detections))
-        with policy_code(f"own observation {name} failed on {scenario.name}:", OwnError):
-            returned = columns.function(rows)
-        field = f"own observation {name}"
-        values = as_numbers(field, returned)
-        fine = values.shape == shape or (shape[1] == 1 and values.shape == shape[:1])
-        rule(fine, field, f"of the shape {shape}", values.shape, f"(robots, columns {', '.join(columns.names)})")
-        values = values.reshape(shape)
-        if not np.isfinite(values).all():
-            r, k = np.argwhere(~np.isfinite(values))[0].tolist()
-            column, hint = columns.names[k], "rows that are not present are zeros"
-            raise SettingError(f"{field} must be finite, got {values[r, k]} in column {column} of row {r}: {hint}")
-        return np.clip(values.astype(np.float32), columns.low, columns.high)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_views": None}

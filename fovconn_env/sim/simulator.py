@@ -91,7 +91,7 @@ class Simulator:
         self.state.episode["over"] = True  # until the first reset
         if scenario.own is not None and scenario.own.changes_observation:
             self.state = own_memory(self.state, scenario)
-        self._own = None if scenario.own is None else Extension(scenario, self.state, self.world)
+        self._own = None if scenario.own is None else Extension(scenario, self.state)
         self._sampler = StartSampler(rules)
         self.generators: list[np.random.Generator | None] = [None] * n_worlds  # from a world's first reset on
         self.seeds: list[int | None] = [None] * n_worlds  # of the worlds' starts; None without a seed
@@ -119,6 +119,11 @@ class Simulator:
         """(B, N, D) float32, a flat observation for each robot."""
         own = self._own
         return self.state.flat if own is None or own.observations is None else own.observations
+
+    @property
+    def built_in_observations(self) -> np.ndarray:
+        """(B, N, D) float32, the same without own columns, nothing dropped: what policies of this package read."""
+        return self.state.flat
 
     @property
     def rewards(self) -> np.ndarray:

@@ -13,6 +13,7 @@ import fovconn_env
 from fovconn_env import Simulator, layout, scenario
 from fovconn_env.envs.joint import JointEnv
 from fovconn_env.envs.vector import VectorEnv
+from fovconn_env.flights.rollout import Observer, rollout
 from fovconn_env.scenarios.own import Columns
 
 SEED = 7
@@ -130,6 +131,32 @@ def test_rows_for_sb3(weights):
             if dones[row]:
                 assert infos[row]["late"] == 1.0
                 assert infos[row]["terminal_observation"] in env.observation_space
+
+
+def test_a_model_of_sb3_flies_by_its_own_columns(tmp_path):
+    stable_baselines3 = pytest.importorskip("stable_baselines3")
+    from fovconn_env.baselines import find_policy
+    from fovconn_env.training.sb3 import make_vec_env
+
+    task = scenario(observation=OWN["observation"], drop="ranges", warmup=0.1, max_cycles=3)
+    model = stable_baselines3.PPO("MlpPolicy", make_vec_env(task, 1, 0), n_steps=2, batch_size=12, seed=0)
+    model.save(tmp_path / "model.zip")
+    seen = []
+
+    class Watch(Observer):
+        def begin(self, simulator):
+            self.simulator = simulator
+
+        def before_step(self, actions):
+            seen.append((self.simulator.observations[0].copy(), actions[0].copy()))
+
+    for _ in rollout(find_policy(str(tmp_path / "model.zip")), task, [SEED], observers=[Watch()]):
+        pass
+    assert len(seen) == 3
+    for observation, actions in seen:
+        np.testing.assert_allclose(model.predict(observation, deterministic=True)[0], actions, atol=1e-6)
+    for _ in rollout(find_policy("follow"), task, [SEED]):
+        pass  # a law reads the built-in columns
 
 
 def test_without_a_request_sb3s_infos_are_empty():

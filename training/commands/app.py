@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import importlib
+import importlib.util
 import io
 import itertools
 import sys
@@ -14,7 +16,7 @@ from typing import Annotated
 import typer
 
 import fovconn_env
-from fovconn_env.errors import FovconnError, PolicyError, missing_package, place_of
+from fovconn_env.errors import FovconnError, OwnError, PolicyError, missing_package, place_of, policy_code, rule
 from fovconn_env.training.cluster.connection import LOCAL
 from fovconn_env.training.commands import (
     bench,
@@ -89,11 +91,20 @@ def main() -> None:
 
 
 def words(given: Sequence[str]) -> list[str]:
-    """The words of a command line, where --ray alone stands for --ray local: typer wants a value behind an option."""
+    """The words of a command line, where --ray alone stands for --ray local: typer wants a value behind an option.
+
+    --plugin may stand anywhere; it comes first, as it is loaded before a command looks for an id.
+    """
     said: list[str] = []
     for word, following in itertools.zip_longest(given, given[1:], fillvalue="-"):
         said += [word, LOCAL] if word == "--ray" and following.startswith("-") else [word]
-    return said
+    first, rest, left = [], [], iter(said)
+    for word in left:
+        if word == "--plugin":
+            first += [word, *itertools.islice(left, 1)]
+        else:
+            (first if word.startswith("--plugin=") else rest).append(word)
+    return first + rest
 
 
 def one_line(problem: Exception) -> str:
@@ -124,8 +135,41 @@ def whose_fault(problem: Exception) -> str:
 
 
 @app.callback(invoke_without_command=True)
-def common(version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
+def common(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
+    plugins: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--plugin",
+            metavar="MODULE",
+            help="Import this module, found from here, which registers scenarios of your own; repeatable.",
+        ),
+    ] = None,
+) -> None:
     """Options of the command itself."""
+    for name in plugins or ():
+        load_plugin(name)
     if version:
         out.print(fovconn_env.__version__, highlight=False)
         raise typer.Exit()
+
+
+def load_plugin(name: str) -> None:
+    """Import a module that registers scenarios, from the current folder or what is installed."""
+    words = name.split(".")
+    rule(
+        all(map(str.isidentifier, words)), "--plugin", "a module, package.module", name, "the folder is the current one"
+    )
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)
+    rule(_exists(name), "--plugin", "a module that is found from here", name, "is this its folder, is it installed?")
+    with policy_code(f"plugin {name} cannot be loaded:", OwnError):
+        importlib.import_module(name)
+
+
+def _exists(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ModuleNotFoundError:  # of a folder above it
+        return False

@@ -10,6 +10,7 @@ from fovconn_env.baselines import ORACLES, POLICIES, find_pilot
 from fovconn_env.baselines.learned.cards import read_card
 from fovconn_env.baselines.learned.policy import Learned
 from fovconn_env.scenarios.hard import TASKS
+from fovconn_env.scenarios.own import REGISTERED, load_entry_points
 from fovconn_env.scenarios.presets import SUMMARIES
 from fovconn_env.training.commands.screen import out
 from fovconn_env.training.evaluation.campaign import SUITES
@@ -21,6 +22,10 @@ def scenarios() -> None:
     """List the scenarios with their levels, the hard tasks, and the suites of `fovconn eval`."""
     levels = {name: f"levels 1-{len(LEVELS[name]) + 1}" if name in LEVELS else "" for name in PRESETS}
     _say("scenarios", [(name, levels[name], SUMMARIES[name]) for name in PRESETS])
+    load_entry_points()
+    mine = [(name, made.own.plugin if made.own else "") for name, made in REGISTERED.items()]
+    if mine:
+        _say("your own, by plugin", mine)
     _say("hard tasks", [(name, "", task.summary) for name, task in TASKS.items()])
     suites = []
     for name, (chosen, seeds, _) in SUITES.items():

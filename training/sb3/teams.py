@@ -12,6 +12,7 @@ from gymnasium import spaces
 from fovconn_env import Scenario, Simulator
 from fovconn_env.envs.viewer import Viewer, frame_rate
 from fovconn_env.errors import check_count, rule
+from fovconn_env.sim.own import OwnObservation
 from fovconn_env.training.sb3.mix import Mix
 
 EPISODE_KEYS = ("success", "connected", "collision")  # reach VecMonitor's episode infos, see `EpisodeLog`
@@ -69,7 +70,7 @@ def check_scenarios(
     rule(count >= 1, "scenarios", "one at least", scenarios, "an id, a Scenario, or a list of them")
     least, what = (len({one.n_agents for one in scenarios}), "team size") if drawn else (count, "scenario")
     rule(n_worlds >= least, "n_worlds", f"at least {least}", n_worlds, f"each {what} needs a world")
-    sizes = {one.observation_size: one.name for one in scenarios}
+    sizes = {OwnObservation(one).size: one.name for one in scenarios}
     hint = f"one network for {', '.join(sizes.values())} needs one max_neighbors and max_ranges"
     rule(len(sizes) == 1, "observation_size", "the same in all scenarios", list(sizes), hint)
     robots = sorted({one.n_agents for one in scenarios})
