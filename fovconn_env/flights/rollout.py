@@ -104,7 +104,7 @@ def steps(
         observer.begin(simulator)
     yield simulator
     while not simulator.over.all():
-        actions = act(simulator.observations)
+        actions = act(simulator.built_in_observations)
         for observer in observers:
             observer.before_step(actions)
         step(actions)

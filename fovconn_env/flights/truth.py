@@ -85,7 +85,7 @@ def read_truth(simulator: Simulator) -> Truth:
         piece=world.piece.copy(),
         vertex=world.vertex.copy(),
         fault=world.fault.copy(),
-        observation=simulator.observations.copy(),
+        observation=simulator.built_in_observations.copy(),
     )
     for array in truth:
         array.flags.writeable = False

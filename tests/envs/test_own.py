@@ -13,6 +13,7 @@ import fovconn_env
 from fovconn_env import Simulator, layout, scenario
 from fovconn_env.envs.joint import JointEnv
 from fovconn_env.envs.vector import VectorEnv
+from fovconn_env.errors import SettingError
 from fovconn_env.flights.rollout import Observer, rollout
 from fovconn_env.scenarios.own import Columns
 
@@ -157,6 +158,20 @@ def test_a_model_of_sb3_flies_by_its_own_columns(tmp_path):
         np.testing.assert_allclose(model.predict(observation, deterministic=True)[0], actions, atol=1e-6)
     for _ in rollout(find_policy("follow"), task, [SEED]):
         pass  # a law reads the built-in columns
+
+
+def test_training_by_the_command_refuses_own_columns_and_takes_an_own_reward():
+    pytest.importorskip("stable_baselines3")
+    pytest.importorskip("torch")
+    from fovconn_env.training.learn.rows import Rows
+
+    with pytest.raises(SettingError, match="observation must be of the built-in columns in fovconn train"):
+        Rows([scenario(drop="ranges")], 2)
+    rows = Rows([scenario(reward=crowding, warmup=0.1)], 2)
+    rows.seed(3)
+    rows.reset()
+    _, rewards, *_ = rows.step(np.zeros((12, 4)))
+    np.testing.assert_allclose(rewards, rows.simulator.rewards.ravel(), rtol=1e-6)
 
 
 def test_without_a_request_sb3s_infos_are_empty():

@@ -270,7 +270,7 @@ def test_it_sees_what_is_on_board_and_nothing_else():
     simulator.reset(mask=np.array([True, False, False, False, False]))
     whole = simulator.state.flat
     sizes = {whole.nbytes, whole[:1].nbytes}
-    assert {len(rows.own) for rows in handed} == {B * 6, 6}
+    assert {len(rows.own) for rows in handed} == {B * 6, B * 3, 6}
     for rows in handed:
         assert isinstance(rows, OnBoard)
         for array in rows:
@@ -320,6 +320,10 @@ def test_dropped_columns_are_gone_in_value_and_bounds():
 @pytest.mark.parametrize(
     ("own", "says"),
     [
+        (
+            {"observation": Columns(lambda r: r.own["vx"] - r.neighbors["distance"].mean(), a=(-9, 9))},
+            "computed row by row, got 'other numbers where there are fewer rows': a robot knows no other",
+        ),
         ({"drop": "rages"}, "drop must be groups and columns of the observation, got 'rages': did you mean 'ranges'?"),
         ({"drop": ("self", "neighbors", "ranges")}, "drop must be less than all columns"),
         ({"observation": Columns(lambda r: np.zeros((3, 1)), a=(0, 1))}, r"shape \(6, 1\), got \(3, 1\)"),

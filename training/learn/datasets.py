@@ -81,7 +81,7 @@ class Transitions(Observer):
     def before_step(self, actions: np.ndarray) -> None:
         """Keep the observations of a step and its actions."""
         simulator, steps = self.simulator, self._steps
-        steps["observations"].append(simulator.observations.copy())
+        steps["observations"].append(simulator.built_in_observations.copy())
         steps["actions"].append(np.clip(actions, -1.0, 1.0))
         steps["going"].append(~simulator.over)
 
@@ -93,7 +93,7 @@ class Transitions(Observer):
     def episodes(self) -> dict[str, np.ndarray]:
         """The kept rows as episodes of single robots, world by world: the arrays of `Episodes`."""
         simulator, steps = self.simulator, self._steps
-        observations = np.stack([*steps["observations"], simulator.observations])
+        observations = np.stack([*steps["observations"], simulator.built_in_observations])
         actions, rewards, going = (np.stack(steps[name]) for name in ("actions", "rewards", "going"))
         episode = simulator.state.episode
         parts: dict[str, list[np.ndarray]] = {name: [] for name in KINDS}

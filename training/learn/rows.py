@@ -57,6 +57,9 @@ class Rows(RobotsVecEnv):
         rule(base is None or base in BASES, "base", f"one of {', '.join(BASES)}", base, "a law without a memory")
         for scenario in scenarios:
             check_named(scenario)
+        for one in scenarios:
+            other, hint = one.own is not None and one.own.changes_observation, "train it on training.sb3.make_vec_env"
+            rule(not other, "observation", "of the built-in columns in fovconn train", f"others in {one.name}", hint)
         super().__init__(scenarios, n_worlds, weights=weights, n_threads=n_threads)
         self.gains = [gain(scenario) for scenario in scenarios]
         self.reward, self.bound, self.extra = reward, bound, ACTION if base else 0
