@@ -55,8 +55,8 @@ def input_size(scenario: Scenario) -> int:
 
 def check_named(scenario: Scenario) -> None:
     """`SettingError` for a scenario whose observations show what networks do not read."""
-    hint = "its policies fly there, and leave out what has no name; for training on it there is training.sb3"
-    words = "without detections, for data and trainers of this package"
+    hint = "networks leave out what has no name; dagger, ppo and mappo train there"
+    words = "without detections, for data and for corrections of a law"
     rule(not scenario.n_detections, f"scenario {scenario.name}", words, f"{scenario.n_detections} rows", hint)
 
 

@@ -101,7 +101,7 @@ def test_each_row_is_labelled_by_the_teacher_of_what_it_flies():
         algorithm.fly(algorithm.generator(), beta=1.0)
         algorithm.iteration += 1
     rows, labels = algorithm.rows, algorithm.labels()
-    flat, row = rows.flat(slice(None)), 0
+    flat, row = rows.observations, 0
     for team in rows.teams:
         for b, k in enumerate(team.flown):
             law = find_pilot(algorithm.teachers[k])(TASKS[k])
@@ -110,6 +110,27 @@ def test_each_row_is_labelled_by_the_teacher_of_what_it_flies():
             np.testing.assert_array_equal(labels[those], np.float32(asked / rows.gains[k]))
             row = those.stop
     assert {0, 1, 2, 3} == set(rows.flown())
+
+
+def test_cameras_as_they_are_are_learned_with_by_what_has_a_name():
+    """The network reads the columns that all scenarios have, a teacher and a filter all that there are."""
+    tasks = [TASKS[0], scenario("RealCamera-v0", n_agents=3, **SHORT)]
+    assert tasks[1].observation_size > tasks[0].observation_size
+    settings = DaggerSettings(n_worlds=4, n_steps=8, every=2, n_updates=2, batch=16, capacity=300)
+    algorithm = Dagger(tasks, 3, settings, SMALL, teachers=["cohesive", "cohesive"], n_threads=1)
+    algorithm.iterate(0.5)
+    rows, real = algorithm.rows, algorithm.rows.teams[1]
+    seen = real.simulator.observations.reshape(6, -1)
+    np.testing.assert_array_equal(rows.observations[real.rows], seen[:, : tasks[0].observation_size])
+    np.testing.assert_array_equal(rows.flat(1, real.rows), seen)
+    wanted = find_pilot("cohesive")(tasks[1]).decide(seen) / rows.gains[1]
+    np.testing.assert_array_equal(algorithm.labels()[real.rows], wanted.astype(np.float32))
+    small = PPOSettings(n_worlds=4, n_steps=8, batch=24)
+    for kind in (Team, Mappo):
+        trained = kind(tasks, 3, small, SMALL, filtered=True, n_threads=1)
+        assert np.isfinite(trained.iterate(0.0)["loss"])
+    with pytest.raises(SettingError, match="RealCamera-v0 must be without detections, for data and for corrections"):
+        Residual(tasks, 3, ResidualSettings(n_worlds=4), SMALL, n_threads=1)
 
 
 def test_a_fleet_of_shares_flies_the_units_of_what_was_drawn():

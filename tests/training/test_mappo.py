@@ -68,7 +68,7 @@ def test_the_critic_reads_it_and_the_actor_does_not(tmp_path):
     assert (critic(policy).run(prepare_judged(policy, changed))[0] != values).all()
     algorithm.iterate(0.0)
     write_policy(algorithm, tmp_path, {}, ())
-    observations = rows.flat(slice(0, 6))
+    observations = rows.flat(0, slice(0, 6))
     flown = load_policy(tmp_path / "mappo.safetensors", rows.scenarios[0]).decide(observations)
     wanted = np.clip(mean_action(policy, observations).numpy() * rows.gains[0], -1.0, 1.0)
     np.testing.assert_allclose(flown, wanted, atol=1e-5)

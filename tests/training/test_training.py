@@ -220,7 +220,7 @@ def test_rows_of_several_scenarios():
         simulator = Simulator(chosen, count)
         here = rows.slices[k]
         np.testing.assert_array_equal(observations[here], simulator.reset(seed).reshape(-1, 205))
-        np.testing.assert_array_equal(rows.flat(here), observations[here])
+        np.testing.assert_array_equal(rows.flat(k, here), observations[here])
     last = rows.step(np.full((10, 4), 0.5, np.float32))[0][rows.slices[1]]
     same_velocity = np.array([0.5 * 2.5 / 3.0] * 3 + [0.5], np.float32)  # 1.25 m/s and 0.5 rad/s
     np.testing.assert_array_equal(last, simulator.step(np.broadcast_to(same_velocity, (1, 4, 4))).reshape(4, -1))

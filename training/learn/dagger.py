@@ -121,7 +121,7 @@ class Dagger(Algorithm):
                 simulator, places = self.rows.flies(k, rows)
                 asked = law.decide(read_truth(simulator)).reshape(-1, ACTION)[places]
             else:
-                asked = law.decide(self.rows.flat(rows))
+                asked = law.decide(self.rows.flat(k, rows))
             wanted[rows] = asked / self.rows.gains[k]
         return wanted
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fovconn_env import layout
 from fovconn_env.baselines.oracles.informed import true_observations
 from fovconn_env.flights.truth import Truth
 from fovconn_env.scenarios.scenario import Scenario
@@ -18,7 +19,8 @@ def judged(truth: Truth, scenario: Scenario, max_neighbors: int) -> np.ndarray:
     These are the shares of the time that is left, of the patience with a split team that is used up, and of the way
     points that are reached; where the leader is (3) and its stick as a share (3), in the robot's own yaw frame.
     """
-    flat = true_observations(truth, scenario, max_neighbors)
+    size = layout.observation_size(max_neighbors, scenario.max_ranges)
+    flat = true_observations(truth, scenario, max_neighbors)[..., :size]
     n = truth.yaw.shape[1]
     left = truth.time_left / (scenario.max_cycles * scenario.step_time)
     split = np.minimum(truth.split / min(max(scenario.patience, scenario.step_time), LONG), 1.0)

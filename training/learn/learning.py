@@ -27,6 +27,7 @@ from torch.utils.tensorboard import SummaryWriter
 from fovconn_env import Scenario
 from fovconn_env.baselines.laws.filters import filtered
 from fovconn_env.baselines.learned.cards import SUFFIX, write
+from fovconn_env.baselines.learned.inputs import input_size
 from fovconn_env.baselines.learned.policy import from_file
 from fovconn_env.errors import SettingError, rule
 from fovconn_env.fields import check_keys
@@ -324,7 +325,7 @@ def write_policy(
         network=algorithm.network.kind,
         base=algorithm.base,
         bound=algorithm.bound,
-        observation_size=algorithm.scenarios[0].observation_size,
+        observation_size=input_size(algorithm.scenarios[0]),
         made=made,
         scores={**scores, "seeds": f"{seeds[0]}-{seeds[-1]}"} if seeds else {},
     )

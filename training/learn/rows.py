@@ -14,7 +14,7 @@ from gymnasium import spaces
 from fovconn_env import Scenario, Simulator
 from fovconn_env.baselines.laws.lambda2_cbf import Lambda2Cbf
 from fovconn_env.baselines.learned.cards import BASES
-from fovconn_env.baselines.learned.inputs import ACTION, check_named, gain
+from fovconn_env.baselines.learned.inputs import ACTION, check_named, gain, input_size
 from fovconn_env.baselines.learned.policy import correct_actions
 from fovconn_env.errors import rule
 from fovconn_env.flights.state_hash import frozen_dtypes
@@ -55,12 +55,13 @@ class Rows(RobotsVecEnv):
         n_threads: int | None = None,
     ) -> None:
         rule(base is None or base in BASES, "base", f"one of {', '.join(BASES)}", base, "a law without a memory")
-        for scenario in scenarios:
+        for scenario in scenarios if base else ():
             check_named(scenario)
         for one in scenarios:
             other, hint = one.own is not None and one.own.changes_observation, "train it on training.sb3.make_vec_env"
             rule(not other, "observation", "of the built-in columns in fovconn train", f"others in {one.name}", hint)
-        super().__init__(scenarios, n_worlds, weights=weights, n_threads=n_threads)
+        columns = input_size(scenarios[0]) if scenarios else None
+        super().__init__(scenarios, n_worlds, weights=weights, columns=columns, n_threads=n_threads)
         self.gains = [gain(scenario) for scenario in scenarios]
         self.reward, self.bound, self.extra = reward, bound, ACTION if base else 0
         self._bases = [BASES[base](scenario) for scenario in scenarios] if base else []
@@ -98,10 +99,10 @@ class Rows(RobotsVecEnv):
         self.ended.clear()
         return self.observations
 
-    def flat(self, rows: slice | np.ndarray) -> np.ndarray:
-        """The observations of some rows as the environment gave them, (R_k, D)."""
-        width = self.observations.shape[1] - self.extra
-        return np.ascontiguousarray(self.observations[rows, :width])
+    def flat(self, k: int, rows: slice | np.ndarray) -> np.ndarray:
+        """The observations of some rows that fly scenario k as the environment gives them, (R_k, D)."""
+        simulator, places = self.flies(k, rows)
+        return simulator.observations.reshape(-1, simulator.scenario.observation_size)[places]
 
     def judged(self) -> np.ndarray:
         """What a critic that knows the truth reads of all rows, (R, D + judge.EXTRA)."""
@@ -223,7 +224,7 @@ class Rows(RobotsVecEnv):
             actions = correct_actions(self.observations[rows], base, outputs, unit, self.bound)
         else:
             actions = np.clip(outputs * unit, -1.0, 1.0)
-        return self._filters[k](self.flat(rows), actions) if self._filters else actions
+        return self._filters[k](self.flat(k, rows), actions) if self._filters else actions
 
 
 def pack_team(team: Team) -> dict[str, np.ndarray]:

@@ -53,13 +53,16 @@ class RobotsVecEnv(VecEnv):
         state: bool = False,
         weights: npt.ArrayLike | None = None,
         reward_terms: bool = False,
+        columns: int | None = None,
         render_mode: str | None = None,
         n_threads: int | None = None,
     ) -> None:
+        """columns: of an observation, that the rows have; all by default."""
         self.reward_terms = reward_terms
         self.scenarios, self.with_state, self.render_mode = list(scenarios), state, render_mode
-        self.drawn, same_clock = weights is not None, render_mode is not None
-        check_scenarios(self.scenarios, n_worlds, same_team=state, same_clock=same_clock, drawn=self.drawn)
+        self.drawn, same_clock, self.columns = weights is not None, render_mode is not None, columns
+        wanted = {"same_team": state, "same_clock": same_clock, "drawn": self.drawn, "columns": columns}
+        check_scenarios(self.scenarios, n_worlds, **wanted)
         probable = None if weights is None else check_weights(weights, len(self.scenarios))
         hint = "a picture is of one scenario"
         rule(weights is None or render_mode is None, "render_mode", "None where worlds draw", render_mode, hint)
@@ -68,7 +71,7 @@ class RobotsVecEnv(VecEnv):
         n_rows, action = self.slices[-1].stop, spaces.Box(-1.0, 1.0, (len(layout.ACTION),))
         self._actions = np.zeros((n_rows, len(layout.ACTION)))
         self._split = np.zeros(n_worlds, bool)  # not connected at some step of the episode
-        space = observation_space(self.teams, state)
+        space = observation_space(self.teams, state, columns)
         each = [(k, s, team.viewer) for team in self.teams for k, s in zip(team.numbers, team.simulators, strict=True)]
         self._worlds = {k: worlds_of(simulator, viewer, space, action) for k, simulator, viewer in each}
         super().__init__(n_rows, space, action)
@@ -111,7 +114,7 @@ class RobotsVecEnv(VecEnv):
         self._reset_options()
         self._split[:] = False
         self._show()
-        return observations(self.teams, self.with_state)
+        return observations(self.teams, self.with_state, self.columns)
 
     def step_async(self, actions: np.ndarray) -> None:
         """Keep the actions (R, 4) for `step_wait`. Raises `ValueError` for another shape or NaN; then nothing moves."""
@@ -141,7 +144,7 @@ class RobotsVecEnv(VecEnv):
         infos = reward_terms(self.teams) if self.reward_terms else [{} for _ in range(self.num_envs)]
         if dones.any():
             self._before_reset()
-            last = observations(self.teams, self.with_state)
+            last = observations(self.teams, self.with_state, self.columns)
             for row, outcome in outcomes(self.teams, self._split):
                 infos[row] |= {**outcome, "terminal_observation": row_of(last, row)}
             for team in self.teams:
@@ -149,7 +152,7 @@ class RobotsVecEnv(VecEnv):
                 if team.simulator.over.any():
                     team.simulator.reset(mask=team.simulator.over.copy())
         self._show()
-        return observations(self.teams, self.with_state), rewards, dones, infos
+        return observations(self.teams, self.with_state, self.columns), rewards, dones, infos
 
     def close(self) -> None:
         """End the threads and close the window; a second call has no effect."""

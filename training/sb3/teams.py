@@ -62,15 +62,22 @@ class Team(NamedTuple):
 
 
 def check_scenarios(
-    scenarios: Sequence[Scenario], n_worlds: int, *, same_team: bool, same_clock: bool, drawn: bool
+    scenarios: Sequence[Scenario],
+    n_worlds: int,
+    *,
+    same_team: bool,
+    same_clock: bool,
+    drawn: bool,
+    columns: int | None = None,
 ) -> None:
-    """`SettingError` unless so many worlds of these scenarios can be rows for one network."""
+    """`SettingError` unless so many worlds of these scenarios can be rows for one network, which reads `columns`."""
     check_count("n_worlds", n_worlds, "a batch holds worlds")
     count = len(scenarios)
     rule(count >= 1, "scenarios", "one at least", scenarios, "an id, a Scenario, or a list of them")
     least, what = (len({one.n_agents for one in scenarios}), "team size") if drawn else (count, "scenario")
     rule(n_worlds >= least, "n_worlds", f"at least {least}", n_worlds, f"each {what} needs a world")
-    sizes = {OwnObservation(one).size: one.name for one in scenarios}
+    every = [(OwnObservation(one).size, one.name) for one in scenarios]
+    sizes = {min(size, columns or size): name for size, name in every}
     hint = f"one network for {', '.join(sizes.values())} needs one max_neighbors and max_ranges"
     rule(len(sizes) == 1, "observation_size", "the same in all scenarios", list(sizes), hint)
     robots = sorted({one.n_agents for one in scenarios})
@@ -116,23 +123,23 @@ def share_out(n_worlds: int, wanted: np.ndarray) -> list[int]:
     return shares.tolist()
 
 
-def observation_space(teams: Sequence[Team], with_state: bool) -> spaces.Space:
-    """Bounds that hold in all scenarios, of a row's observation or of a `Dict` of that and the state."""
+def observation_space(teams: Sequence[Team], with_state: bool, columns: int | None = None) -> spaces.Space:
+    """Bounds that hold in all scenarios, of what `observations` has: a row's, or a `Dict` of that and the state."""
 
     def joint(bounds: Sequence[tuple[np.ndarray, np.ndarray]]) -> spaces.Box:
         low, high = zip(*bounds, strict=True)
         return spaces.Box(np.min(low, axis=0), np.max(high, axis=0))
 
     simulators = [simulator for team in teams for simulator in team.simulators]
-    space = joint([simulator.observation_bounds for simulator in simulators])
+    space = joint([(low[:columns], high[:columns]) for low, high in (each.observation_bounds for each in simulators)])
     if not with_state:
         return space
     return spaces.Dict({"observation": space, "state": joint([s.privileged_bounds() for s in simulators])})
 
 
-def observations(teams: Sequence[Team], with_state: bool) -> Any:
-    """What the rows see now, copied: (R, D), or with the state a dict of that and (R, S)."""
-    flat = np.concatenate([team.simulator.observations.reshape(team.n_rows, -1) for team in teams])
+def observations(teams: Sequence[Team], with_state: bool, columns: int | None = None) -> Any:
+    """What the rows see now, copied: (R, D), or with the state a dict of that and (R, S); of D the first `columns`."""
+    flat = np.concatenate([team.simulator.observations.reshape(team.n_rows, -1)[:, :columns] for team in teams])
     if not with_state:
         return flat
     states = [np.repeat(team.simulator.privileged(), team.n_agents, axis=0) for team in teams]
