@@ -299,9 +299,10 @@ class Simulator:
             self._run_worlds(actions, NO_MASK, 0, into)
             return self.observations
         own.before_step(self.state)
-        self._run_worlds(actions, NO_MASK, 0)
+        built_in = own.observations is None  # no own function changes what is then copied
+        self._run_worlds(actions, NO_MASK, 0, into if built_in else None)
         own.after_step(self.state, self.world, actions)
-        if into is not None:
+        if into is not None and not built_in:
             self.copy_results(into, slice(None))
         return self.observations
 

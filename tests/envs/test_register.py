@@ -164,6 +164,17 @@ def test_commands_take_a_plugin_by_name_alone(plugin):
     assert "--plugin must be a module that is found from here" in refused.stderr.replace("\n", " ")
 
 
+def test_finished_episodes_are_those_of_this_code(plugin):
+    from fovconn_env.training.evaluation.shelf import Cell, fingerprint
+
+    __import__("mine")
+    cell = Cell("follow", scenario("Mine-v0"))
+    before, plain = fingerprint(cell), fingerprint(Cell("follow", scenario()))
+    (plugin / "mine.py").write_text(PLUGIN.replace(">= 6", ">= 7"), "utf-8")
+    assert fingerprint(cell) != before
+    assert fingerprint(Cell("follow", scenario())) == plain
+
+
 def test_entry_points_are_loaded_when_an_id_is_not_known(plugin, monkeypatch):
     from importlib import metadata
 

@@ -8,6 +8,7 @@ import inspect
 import json
 import os
 import platform
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,6 +21,7 @@ import numpy as np
 import fovconn_env
 from fovconn_env import Scenario
 from fovconn_env.baselines import find_pilot
+from fovconn_env.baselines.sources import source_files
 from fovconn_env.errors import FovconnError, SettingError
 from fovconn_env.files import Archive, Kind, printable, read_archive, write_archive
 from fovconn_env.scenarios.serialize import scenario_to_json
@@ -122,11 +124,18 @@ class Shelf:
 def fingerprint(cell: Cell) -> str:
     """Twelve letters that change with all settings of a cell, the code that flies it, and what the code runs on."""
     kind = find_pilot(cell.policy)
-    files = sources(kind)
+    files = [*sources(kind), *plugin_files(cell.scenario)]
     parts = [scenario_to_json(scenario) for scenario in (cell.scenario, kind.equip(cell.scenario))]
     parts += [code_hash(Path(inspect.getfile(fovconn_env)).parent), kind.tag(), [digest(str(file)) for file in files]]
     parts += [platform.python_version(), np.__version__, numba.__version__, packages(files)]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:12]
+
+
+def plugin_files(scenario: Scenario) -> list[Path]:
+    """The module that registered a scenario's own functions, and what it imports."""
+    module = sys.modules.get(scenario.own.plugin) if scenario.own is not None else None
+    file = getattr(module, "__file__", None)
+    return source_files(Path(file), Path(file).parent) if file else []
 
 
 @functools.cache
