@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numba.core.dispatcher import Dispatcher
+from numba.core.errors import NumbaError
 
 from fovconn_env import layout
 from fovconn_env.errors import OwnError, SettingError, as_numbers, policy_code, rule
@@ -184,7 +185,10 @@ class Extension:
         if isinstance(function, Dispatcher):
             step = step._replace(scenario=None)
         with policy_code(f"own {kind} {name_of(function)} failed on {self.scenario.name}:", OwnError):
-            return function(step, *rest)
+            try:
+                return function(step, *rest)
+            except NumbaError as problem:  # names the types of all arrays, in lines of thousands of letters
+                raise TypeError("\n".join(line[:160] for line in str(problem).splitlines())) from problem
 
     def _terms(self, function: Callable[..., Any], step: Step) -> dict[str, np.ndarray]:
         """An own reward's terms, (B, N) each."""

@@ -164,6 +164,18 @@ def test_an_error_of_the_function_names_it_with_its_line():
         simulator.step(np.zeros((1, 6, 4)))
 
 
+def test_what_does_not_compile_is_told_in_short_lines_with_its_place():
+    @numba.njit
+    def slip(step, reward):
+        reward[0, 0] = step.robotz[0, 0].x
+
+    simulator = Simulator(scenario("LeaderFollow-v0", reward=slip), 1)
+    simulator.reset(7)
+    with pytest.raises(OwnError, match=r"(?s)own reward slip failed on .*'?robotz'?.*") as caught:
+        simulator.step(np.zeros((1, 6, 4)))
+    assert all(len(line) < 250 for line in str(caught.value).splitlines())
+
+
 def test_nothing_can_be_written_to():
     def cheat(step) -> Any:
         for array in step:
