@@ -188,7 +188,8 @@ class Extension:
             try:
                 return function(step, *rest)
             except NumbaError as problem:  # names the types of all arrays, in lines of thousands of letters
-                raise TypeError("\n".join(line[:160] for line in str(problem).splitlines())) from problem
+                problem.args = ("\n".join(line[:160] for line in str(problem).splitlines()),)
+                raise
 
     def _terms(self, function: Callable[..., Any], step: Step) -> dict[str, np.ndarray]:
         """An own reward's terms, (B, N) each."""
