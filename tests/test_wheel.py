@@ -18,7 +18,7 @@ from fovconn_env import PRESETS, __version__
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("fovconn_env", "fovconn_env/baselines", "fovconn_env/training")
 GENERIC = ("baselines", "training", "tests", "docs")  # folders of the clone whose names are anybody's
-LIMIT = 1_500_000  # bytes of the wheel
+LIMIT = 1_800_000  # bytes; 0.6 MB of it are weights
 
 pytestmark = pytest.mark.slow
 

@@ -110,7 +110,7 @@ def test_the_exit_status(monkeypatch, tmp_path, capsys):
     assert command.main(["check"]) == 1
     assert "does not hold: pigs fly\n1 of 2 claims" in capsys.readouterr().out
     assert command.main(["levels", "lerned"]) == command.main([]) == 2
-    assert "give some of levels, learned, cameras, check; got lerned" in capsys.readouterr().err
+    assert "give some of levels, learned, cameras, envelope, check; got lerned" in capsys.readouterr().err
 
 
 def test_code_that_a_record_names_is_not_run(tmp_path, monkeypatch):

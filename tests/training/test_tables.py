@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from fovconn_env import Scenario, scenario
-from fovconn_env.training.evaluation import learned, levels, tables
+from fovconn_env import PRESETS, Scenario, scenario
+from fovconn_env.training.evaluation import envelope, learned, levels, tables
 from fovconn_env.training.evaluation.learned import Row
 from fovconn_env.training.evaluation.record import Record, Result
 from fovconn_env.training.evaluation.statistics import Estimate
@@ -115,6 +115,39 @@ def test_the_table_of_learned_policies():
     assert row[5:] == ["expert", "+1.0 [-2.0, +3.0]", "-1.0 [-2.0, +0.0]", "-"]
     with pytest.raises(KeyError, match="no residual"):
         tables.learned_table(record("learned", results), learned.ROWS["laws"])
+
+
+def test_the_best_law_of_each_level(monkeypatch):
+    """It is chosen by its success; the mean is that of what is best on each task."""
+    shares = {("follow", "Mix-v0"): 0.5, ("springs", "Mix-v0"): 0.75, ("follow", "Regroup-v0"): 0.25}
+    shares |= {("springs", "Regroup-v0"): 0.125, ("generalist", "Mix-v0"): 0.8, ("generalist", "Regroup-v0"): 0.2}
+    gap = {
+        law: {"success": Estimate(k / 10, k / 10 - 0.1, k / 10 + 0.1)} for k, law in enumerate(("follow", "springs"))
+    }
+    tasks = [("Mix-v0", (("level", 2),)), ("Regroup-v0", ())]
+    results = [
+        result(policy, name, dict(dict(tasks)[name]), gap if policy == "generalist" else None, progress=0.5,
+               success=Estimate(share, share - 0.1, share + 0.1))
+        for (policy, name), share in shares.items()
+    ]  # fmt: skip
+    monkeypatch.setattr(envelope, "LAWS", ("follow", "springs"))
+    monkeypatch.setattr(envelope, "tasks", lambda: tasks)
+    head, rows = tables.envelope_table(record("envelope", results))
+    assert {len(row) for row in rows} == {len(head)}
+    assert rows[0] == ["Mix-v0 `level=2`", "64", "springs", "75.0", "80.0 [70, 90]", "+10.0 [+0.0, +20.0]", "0.50"]
+    assert rows[1][2:6] == ["follow", "25.0", "20.0 [10, 30]", "+0.0 [-10.0, +10.0]"]
+    assert rows[2] == ["mean", "", "", "50.0", "50.0", "", ""]
+
+
+def test_the_study_of_the_envelope_flies_every_level_and_other_sizes():
+    flown = envelope.study()
+    levels_of = {name for name, preset in PRESETS.items() if not preset.n_detections}
+    assert {task.scenario for task in flown.tasks} == levels_of
+    assert len(envelope.tasks()) == 29 + 3
+    counts = {scenario(task.scenario, **dict(task.settings)).n_agents: task.count for task in flown.tasks}
+    assert counts == {3: 320, 4: 320, 6: 320, 9: 320, 12: 320, 16: 64, 24: 64, 48: 32}
+    assert {task.against for task in flown.tasks if task.policy == envelope.POLICY} == {envelope.LAWS}
+    assert {task.policy for task in flown.tasks} == {*envelope.LAWS, envelope.POLICY}
 
 
 def test_a_page_has_all_tables(tmp_path):

@@ -10,13 +10,13 @@ import sys
 import time
 from collections.abc import Sequence
 
-from fovconn_env.training.evaluation import cameras, learned, levels
+from fovconn_env.training.evaluation import cameras, envelope, learned, levels
 from fovconn_env.training.evaluation.ablations import BASE
 from fovconn_env.training.evaluation.check_results import ROOT, check
 from fovconn_env.training.evaluation.record import Record, to_json, write_json
 from fovconn_env.training.evaluation.study import fly, record
 
-STUDIES = {"levels": levels.study, "learned": learned.study, "cameras": cameras.study}
+STUDIES = {"levels": levels.study, "learned": learned.study, "cameras": cameras.study, "envelope": envelope.study}
 
 
 def main(names: Sequence[str]) -> int:

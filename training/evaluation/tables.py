@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from fovconn_env import Scenario, scenario
-from fovconn_env.training.evaluation import cameras
+from fovconn_env.training.evaluation import cameras, envelope
 from fovconn_env.training.evaluation.ablations import PANELS, Panel
 from fovconn_env.training.evaluation.comparison import EXPERT
 from fovconn_env.training.evaluation.leaderboard_tables import leaderboard_tables
@@ -220,10 +220,29 @@ def camera_table(record: Record) -> Table:
     return [*head, "yaw, mutual", "yaw, one-way", "named share", "swaps a flight"], rows
 
 
+def envelope_table(record: Record) -> Table:
+    """The policy on each task beside the law that is best there, and its difference to that law, in points."""
+    head = ["flown on", "episodes", "best law", "its success %", f"{envelope.POLICY} %", "difference", "progress"]
+    lines, own, best = [], [], []
+    for name, settings in envelope.tasks():
+        policy = record.find(envelope.POLICY, name, dict(settings))
+        laws = {law: record.find(law, name, dict(settings)).measures[SUCCESS].value for law in envelope.LAWS}
+        law = max(laws, key=laws.__getitem__)
+        own.append(policy.measures[SUCCESS].value)
+        best.append(laws[law])
+        task = " ".join([name, *(f"`{setting}={value}`" for setting, value in settings)])
+        cells = [percent(policy.measures[SUCCESS]), estimate(policy.difference(law, SUCCESS), "+.1f", 100)]
+        progress = number(policy.measures["progress"].value, ".2f")
+        lines.append([task, f"{policy.count}", law, f"{100 * laws[law]:.1f}", *cells, progress])
+    means = [f"{100 * sum(values) / len(values):.1f}" for values in (best, own)]
+    return head, [*lines, ["mean", "", "", *means, "", ""]]
+
+
 _STUDIES: dict[str, Callable[[Record], dict[str, Table]]] = {
     "eval": _eval_tables,
     "levels": _level_tables,
     "learned": lambda record: {name: learned_table(record, rows) for name, rows in ROWS.items()},
+    "envelope": lambda record: {"levels": envelope_table(record)},
     "ablations": lambda record: {"points": ablation_table(record)},
     "leaderboard": leaderboard_tables,
     "cameras": lambda record: {"points": camera_table(record)},
