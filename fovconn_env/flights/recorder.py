@@ -50,10 +50,8 @@ class Recorder(Observer):
         self._attach(simulator)
         seed = simulator.seeds[self.world]
         rule(seed is not None, "seed", "given to a flight that is recorded", seed, "it is drawn again from its seed")
-        changes: dict[str, Any] = {
-            "max_cycles": simulator.max_cycles,
-            "leader": simulator.leader,
-        }  # which may be set at run time
+        # which may be set at run time
+        changes: dict[str, Any] = {"max_cycles": simulator.max_cycles, "leader": simulator.leader}
         own = simulator.scenario.own
         if own is not None and not own.id and not own.changes_flight:
             changes["own"] = None  # the flight is the same without, and no file holds code

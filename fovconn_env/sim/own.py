@@ -222,7 +222,7 @@ class Extension:
             fine = values.dtype == bool and values.shape == shape
             got = f"{values.dtype} {values.shape}"
             rule(fine, field, f"bool of the shape {shape}", got, "True where a world's episode ends by it")
-            taken = outcome in layout.record(layout.INFO, "f8").names  # type: ignore[operator]
+            taken = any(outcome == column.name for column in layout.INFO)
             rule(not taken, field, "under a name that infos have not", outcome, "rename the function")
             ends[outcome] = values
         return ends

@@ -83,7 +83,7 @@ def test_a_spec_in_json_makes_the_same_environment(plugin):
     spec = gymnasium.make("fovconn/Mine-v0", max_cycles=30).spec
     assert spec is not None
     again = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(spec.to_json()))
-    assert again.unwrapped.scenario == scenario("Mine-v0", max_cycles=30)  # type: ignore[attr-defined]
+    assert again.unwrapped.scenario == scenario("Mine-v0", max_cycles=30)
 
 
 @pytest.mark.parametrize(

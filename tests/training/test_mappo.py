@@ -94,3 +94,12 @@ def test_a_flight_cut_by_its_length_goes_on_in_value():
     torch.nn.init.ones_(algorithm.policy.value_net.bias)
     flown = algorithm.fly()
     np.testing.assert_allclose(flown.returns.numpy(), 0.5, atol=1e-6)
+
+
+def test_it_is_worth_what_the_critic_reads_before_the_reset():
+    """With the share of the time that is left as the value: 0 at the end of a flight, and not that of the next one."""
+    algorithm = mappo(gamma=0.5, reward=1e-9, lam=0.0)
+    algorithm.values = lambda read: read.own[:, LEFT].numpy()
+    twelfths = 12.0 * algorithm.fly().returns.numpy()  # 0.5 (6 - k) / 6 after k of 6 steps
+    np.testing.assert_allclose(twelfths, twelfths.round(), atol=1e-4)
+    assert set(twelfths.round()) == {0.0, 1.0, 2.0, 3.0, 4.0, 5.0}
