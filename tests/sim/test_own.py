@@ -359,3 +359,17 @@ def test_the_public_fields_are_those_of_the_records():
     ):
         assert set(names) <= set(array.dtype.names or ())
     assert Step._fields[0] == "moved"
+
+
+def test_an_own_end_in_the_last_step_is_no_truncation():
+    """As with the ends of the package: a flight that ends by itself in its last step was not cut off."""
+
+    def now(step):
+        return np.array([True, False])
+
+    simulator = Simulator(scenario(n_agents=3, warmup=0.1, max_cycles=1, termination=now), 2)
+    simulator.reset(3)
+    simulator.step(np.zeros((2, 3, 4)))
+    assert simulator.over.tolist() == [True, True]
+    assert simulator.terminated.tolist() == [True, False]
+    assert simulator.truncated.tolist() == [False, True]
