@@ -1,6 +1,7 @@
 """Two trees side by side: equal flights, and speed in turns. This tree stands for both; no test says how fast it is."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -31,6 +32,15 @@ def test_a_program_gets_its_arguments_and_answers():
     assert list(run_in(HERE, "print(arguments['name'], fovconn_env.__file__)", {"name": "it"})) == [
         f"it {HERE / 'fovconn_env' / '__init__.py'}\n"
     ]
+
+
+def test_this_tree_is_the_checkout_when_an_installation_links_to_it(tmp_path):
+    (tmp_path / "fovconn_env").symlink_to(HERE / "fovconn_env")  # as an editable installation does
+    words = [sys.executable, "-P", "-c", "from fovconn_env.training.bench.trees import HERE; print(HERE)"]
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    said = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == str(HERE.resolve())
+    assert (HERE / "pyproject.toml").is_file()
 
 
 def test_a_program_that_fails_is_told():

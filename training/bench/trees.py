@@ -24,7 +24,7 @@ from typing import IO, Any, NamedTuple
 import fovconn_env
 from fovconn_env.errors import SettingError
 
-HERE = Path(fovconn_env.__file__).parents[1]  # where this package is imported from
+HERE = Path(fovconn_env.__file__).resolve().parents[1]  # the checkout; an installed one is found by a link
 LAWS = ("expert", "cohesive", "follow", "springs", "residual")
 EVERY = 100  # steps between two hashes
 
