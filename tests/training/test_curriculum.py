@@ -14,13 +14,15 @@ pytest.importorskip("stable_baselines3")
 import torch
 
 from fovconn_env.baselines import find_pilot
+from fovconn_env.baselines.learned.policy import load
 from fovconn_env.errors import SettingError
 from fovconn_env.flights.truth import read_truth
 from fovconn_env.training.evaluation.interruption import Interrupted
 from fovconn_env.training.learn.curriculum import LEAST, Curriculum
 from fovconn_env.training.learn.dagger import Dagger, DaggerSettings
-from fovconn_env.training.learn.learning import Budget, train
-from fovconn_env.training.learn.model import Network
+from fovconn_env.training.learn.learning import Budget, train, write_policy
+from fovconn_env.training.learn.model import Network, weights
+from fovconn_env.training.learn.origin import check_recipe
 from fovconn_env.training.learn.ppo import Mappo, PPOSettings, Team
 from fovconn_env.training.learn.residual import Residual, ResidualSettings
 from fovconn_env.training.learn.rows import Rows
@@ -112,6 +114,26 @@ def test_each_row_is_labelled_by_the_teacher_of_what_it_flies():
     assert {0, 1, 2, 3} == set(rows.flown())
 
 
+def test_a_start_flies_from_the_first_step(tmp_path):
+    """Imitation that goes on: by the weights of the start, never by the law, and a resume keeps to that start."""
+    first, other = dagger(), dagger(n_updates=3)
+    first.iterate(0.5)
+    for algorithm, name in ((first, "one"), (other, "two")):
+        (tmp_path / name).mkdir()
+        write_policy(algorithm, tmp_path / name, {}, ())
+    files = [tmp_path / name / "dagger.safetensors" for name in ("one", "two")]
+    settings = dataclasses.replace(first.settings, learning_rate=1e-9)
+    learner, second = (Dagger(TASKS, 4, settings, SMALL, start=file, n_threads=1) for file in files)
+    for name, array in weights(first.policy).items():
+        np.testing.assert_array_equal(weights(learner.policy)[name], array)
+    learner.iterate(0.0)
+    assert not learner.by_law.any()
+    assert learner.recipe()["start"] == load(files[0])[0].sha256 != second.recipe()["start"]
+    assert "start" not in first.recipe()
+    with pytest.raises(SettingError, match="must be the checkpoint's"):
+        check_recipe(learner.recipe(), second.recipe())
+
+
 def test_cameras_as_they_are_are_learned_with_by_what_has_a_name():
     """The network reads the columns that all scenarios have, a teacher and a filter all that there are."""
     tasks = [TASKS[0], scenario("RealCamera-v0", n_agents=3, **SHORT)]
@@ -187,11 +209,11 @@ def test_a_resume_with_other_weights_or_teachers(tmp_path):
     first = dagger()
     train(first, Budget(steps=8 * first.rows.num_envs), tmp_path, scores=1, seeds=SEEDS)
     settings, teachers = first.settings, first.teachers
-    for weights, names, message in (
+    for drawn, names, message in (
         ([1, 1, 1, 1], teachers, r"weights\[1\] must be the checkpoint's \(2.0\), got 1.0"),
         (WEIGHTS, ["cohesive"] * 4, r"teachers\[1\] must be the checkpoint's \('springs'\), got 'cohesive'"),
     ):
-        other = Dagger(TASKS, 3, settings, SMALL, weights=weights, teachers=names, n_threads=1)
+        other = Dagger(TASKS, 3, settings, SMALL, weights=drawn, teachers=names, n_threads=1)
         with pytest.raises(SettingError, match=message):
             train(other, Budget(steps=10_000), tmp_path, seeds=SEEDS, resume=True)
 
@@ -216,6 +238,10 @@ def test_weights_and_teachers_behind_scenarios(fovconn, tmp_path):
     assert [each["name"] for each in made["scenarios"]] == ["LeaderFollow-v0", "LossyRadio-v0", "Mix-v0"]
     assert made["teachers"] == ["cohesive", "springs", "expert"]
     assert made["weights"] == [1.0, 2.0, 0.5]
+    alike = [word for text in ("width=8", "spots=4", "hidden=(16,8)", "n_worlds=3") for word in ("--tune", text)]
+    shown = fovconn("train", "dagger", "--start", "out/dagger.safetensors", *WORDS, *alike, "--out", "on")
+    assert shown.status == 0, shown.err
+    assert len(json.loads((tmp_path / "on" / "dagger.json").read_text())["made"]["start"]) == 64
 
 
 @pytest.mark.parametrize("algorithm, words, message", [

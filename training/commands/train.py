@@ -121,8 +121,8 @@ COMMANDS = {
 
         fovconn train dagger --steps 20000000 --out out/dagger
         """,
-        {},
-        lambda given: {},
+        {"start": (Start, None)},
+        lambda given: {"start": start} if (start := _start(given["start"])) else {},
     ),
     "bc": Command(
         """Clone the behaviour in recorded flights; --scenario is what checkpoints are scored on.

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from fovconn_env import Scenario
 from fovconn_env.baselines import Policy, TeamOracle, find_pilot
 from fovconn_env.baselines.learned.cards import BASES
 from fovconn_env.baselines.learned.inputs import ACTION
+from fovconn_env.baselines.learned.policy import load
 from fovconn_env.bounds import check_numbers, fraction, positive, setting
 from fovconn_env.errors import rule
 from fovconn_env.fields import check_array
@@ -28,7 +30,7 @@ from fovconn_env.flights.truth import read_truth
 from fovconn_env.training.learn.checkpoints import below, check_like
 from fovconn_env.training.learn.curriculum import Curriculum
 from fovconn_env.training.learn.learning import Algorithm
-from fovconn_env.training.learn.model import Network, actor, make_model, prepare
+from fovconn_env.training.learn.model import Network, actor, load_weights, make_model, prepare
 from fovconn_env.training.learn.rows import Rows
 
 
@@ -67,15 +69,21 @@ class Dagger(Algorithm):
         *,
         weights: npt.ArrayLike | None = None,
         teachers: Sequence[str] = (),
+        start: Path | None = None,
         n_threads: int | None = None,
     ) -> None:
-        """weights: as of `Rows`; teachers: a pilot's name for each scenario, by default the law of the settings."""
+        """weights: as of `Rows`; teachers: a pilot's name for each scenario, by default the law of the settings.
+
+        start: a policy to go on from; it flies from the first step, since it shows itself where a good flight leads.
+        """
         s, network = settings or DaggerSettings(), (network or Network()).deviating(-2.0)
         self.curriculum = Curriculum(weights, s.frontier, len(scenarios))
         self.rows = Rows(scenarios, s.n_worlds, weights=self.curriculum.weights, n_threads=n_threads)
         self.rows.seed(seed)
         super().__init__(make_model(self.rows, network, seed), scenarios, seed, s, network)
-        self.s = s
+        self.s, self.start = s, start
+        if start is not None:
+            load_weights(self.policy, *load(start)[1:])
         self.teachers = list(teachers) or [s.expert] * len(scenarios)
         hint = "one a scenario"
         rule(len(self.teachers) == len(scenarios), "teachers", f"{len(scenarios)} names", len(self.teachers), hint)
@@ -84,7 +92,7 @@ class Dagger(Algorithm):
         self.seen = np.zeros((s.capacity, self.rows.observations.shape[1]), np.float32)
         self.wanted = np.zeros((s.capacity, ACTION), np.float32)
         self.filled = 0
-        self.by_law = np.ones(self.rows.num_envs, bool)  # rows whose episode the law flies
+        self.by_law = np.full(self.rows.num_envs, start is None)  # rows whose episode the law flies
         self.rows.seed(seed)
         self.rows.reset()
 
@@ -92,7 +100,7 @@ class Dagger(Algorithm):
         """Fly, label, learn."""
         rng = self.generator()
         self.curriculum.move(self.rows)
-        self.fly(rng, beta=max(1.0 - share / max(self.s.mixed, 1e-9), 0.0))
+        self.fly(rng, beta=max(1.0 - share / max(self.s.mixed, 1e-9), 0.0) if self.start is None else 0.0)
         rate = self.s.learning_rate * (0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * share)))
         return {"loss": self.learn(rng, rate), "learning_rate": rate, "buffer": self.filled, **self.rows.outcomes()}
 
@@ -148,8 +156,10 @@ class Dagger(Algorithm):
         return regress(self.model.policy, self.seen, self.wanted, self.filled, rng, rate, self.s)
 
     def recipe(self) -> dict:
-        """With what is drawn, and the teachers."""
-        others = {"teachers": self.teachers} if set(self.teachers) != {self.s.expert} else {}
+        """With what is drawn, the teachers and the start."""
+        others: dict[str, Any] = {"teachers": self.teachers} if set(self.teachers) != {self.s.expert} else {}
+        if self.start is not None:
+            others["start"] = load(self.start)[0].sha256
         return super().recipe() | self.curriculum.recipe() | others
 
     def pack(self) -> dict[str, np.ndarray]:
