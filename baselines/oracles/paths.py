@@ -81,17 +81,15 @@ def make_field(
     return Field(low, cost, reach)
 
 
-def direction(field: Field, here: np.ndarray) -> np.ndarray | None:
-    """Unit vector (2,) along the way to the goal from a place (2,); None outside of the field and at the goal."""
-    a, b = np.round((here - field.low) / CELL).astype(int)
-    inside = 0 <= a < field.reach.shape[0] and 0 <= b < field.reach.shape[1]
-    if not inside or not np.isfinite(field.reach[a, b]):
-        return None
+def find_ways(field: Field, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors along the ways to the goal from places (P, 2), (P, 2), and what these cost, (P,), m of open ground.
+
+    Without a way, and at the goal, the vector is 0; the cost is then infinite, and 0.
+    """
+    ways, costs = np.zeros((len(places), 2)), np.full(len(places), math.inf)
     steps = np.empty((AHEAD + 1, 2), np.int64)
-    k = farthest_straight(field.reach, field.cost, steps, descend(field.reach, field.cost, a, b, steps))
-    way = field.low + CELL * steps[k] - here
-    length = float(np.linalg.norm(way))
-    return way / length if k > 0 and length > 0.0 else None
+    follow_ways(field.reach, field.cost, field.low, np.ascontiguousarray(places), steps, ways, costs)
+    return ways, costs
 
 
 def resample(points: np.ndarray, step: float) -> np.ndarray:
@@ -203,6 +201,22 @@ def farthest_straight(reach, cost, steps, count):
         if total / n * CELL * math.hypot(da, db) <= reach[a, b] - reach[a + da, b + db] + 1e-9:
             return k
     return min(count - 1, 1)
+
+
+@entry
+def follow_ways(reach, cost, low, places, steps, ways, costs):
+    """Fill `ways` and `costs` of `find_ways`, as far as there are ways."""
+    for k in range(places.shape[0]):
+        x, y = places[k, 0] - low[0], places[k, 1] - low[1]
+        a, b = round(x / CELL), round(y / CELL)
+        if not (0 <= a < reach.shape[0] and 0 <= b < reach.shape[1]) or reach[a, b] == math.inf:
+            continue
+        costs[k] = reach[a, b]
+        last = farthest_straight(reach, cost, steps, descend(reach, cost, a, b, steps))
+        x, y = CELL * steps[last, 0] - x, CELL * steps[last, 1] - y
+        length = math.hypot(x, y)
+        if last > 0 and length > 0.0:
+            ways[k, 0], ways[k, 1] = x / length, y / length
 
 
 @entry

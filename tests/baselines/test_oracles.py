@@ -368,6 +368,34 @@ def test_an_informed_leader_flies_around_what_is_in_its_way():
     np.testing.assert_array_equal(find_pilot("informed:follow")(open_).decide(truth).reshape(-1, 4), alone)
 
 
+def test_who_is_far_behind_comes_up_along_the_way_and_the_leader_waits():
+    """A wall between them: the last robot, 1 s away at 0.3/s beyond 3 m, flies around it, the others stand."""
+    chosen = small(map=Map().wall((-4, -4), (-4, 2), 0.3), course={"settle": 0.05}, start={"box": (4, 4, 2)})
+    simulator = Simulator(chosen, 2)
+    simulator.reset(3)
+    truth = read_truth(simulator)
+    position = truth.position.copy()
+    position[:, :, :2] = [[0.0, 0.0], [-1.0, 0.0], [-1.0, 1.5], [-1.0, -1.5]]
+    for b, last in enumerate(([-6.0, 0.0], [-2.5, 0.0])):  # behind the wall, and near
+        position[b, 3, :2] = last
+    waypoint = truth.waypoint.copy()
+    waypoint[:, :, :2] = [8.0, 0.0]
+    stick = np.array([[chosen.stick_speed, 0.0, 0.0]] * 2)
+    truth = truth._replace(position=position, waypoint=waypoint, stick=stick, leader=np.zeros(2, np.int64))
+    actions = find_pilot("informed:zero")(chosen).decide(truth)
+    flown = actions[..., :2] * (chosen.speed_limit + chosen.stick_speed)
+    np.testing.assert_allclose(flown_by(actions, truth, chosen), [[0.0, 0.0], [chosen.stick_speed, 0.0]], atol=0.1)
+    assert np.linalg.norm(flown[0, 3]) == pytest.approx(1.0)
+    c, s = np.cos(truth.yaw[0, 3]), np.sin(truth.yaw[0, 3])
+    x, y = c * flown[0, 3, 0] - s * flown[0, 3, 1], s * flown[0, 3, 0] + c * flown[0, 3, 1]
+    path = find_path(position[0, 3], waypoint[0, 0], truth.piece[0], truth.vertex[0], 0.25)
+    ahead = path[10, :2] - path[0, :2]
+    assert (x * ahead[0] + y * ahead[1]) / np.linalg.norm(ahead) > 0.9
+    assert y > 0.3  # the wall's nearer end
+    assert not flown[0, 1:3].any()
+    assert not flown[1, 1:].any()
+
+
 def test_the_way_is_that_of_the_world_as_it_is_now():
     """A world that is reset to another map gets another way; the answer depends on the truth alone."""
     chosen = small("LeaderObstacles-v0", course={"settle": 0.05})
@@ -390,6 +418,7 @@ def test_the_truth_is_worth_it():
     assert outcomes("informed:cohesive", task, range(16))[0] >= 15
     assert outcomes("cohesive", task, range(16))[0] <= 5
     assert outcomes("informed:follow", scenario("LeaderObstacles-v0"), range(16))[0] >= 14
+    assert outcomes("informed:cohesive", scenario("HardGap-v1"), range(16))[0] >= 12  # cohesive alone: 3
 
 
 # ------------------------------------------------------------------------------------------------------------ paths
