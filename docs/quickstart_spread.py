@@ -17,8 +17,8 @@ import torch
 
 from fovconn_env import scenario
 from fovconn_env.files import write_text
-from fovconn_env.training.bench.report import machine
 from fovconn_env.training.evaluation import evaluate, summary
+from fovconn_env.training.evaluation.record import machine
 from fovconn_env.training.learn.dagger import Dagger
 from fovconn_env.training.learn.learning import Budget, commit, train, versions
 

@@ -27,7 +27,6 @@ from fovconn_env.training.bench.report import (
     Bar,
     bar_table,
     bars,
-    machine,
     machine_line,
     rate_table,
     ratio,
@@ -45,6 +44,7 @@ from fovconn_env.training.bench.timing import (
     peak_memory,
     run,
 )
+from fovconn_env.training.evaluation.record import machine
 
 TINY = scenario(n_agents=3, warmup=0.1, max_cycles=8)
 LEAST = Effort(repetitions=3, seconds=0.0, batches=(1, 2), rows=2, robots=48, learn_steps=4, iteration=0.01)

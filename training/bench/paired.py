@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fovconn_env.training.bench.cases import Effort
-from fovconn_env.training.bench.report import Bar, judged, machine, versions
+from fovconn_env.training.bench.report import Bar, judged, versions
 from fovconn_env.training.bench.trees import HERE, Pipes, running
 from fovconn_env.training.bench.waits import KEYS, compare_waits, waits
+from fovconn_env.training.evaluation.record import machine
 
 LAPS = ("parallel", "vector", "expert", "dynamics", "reset", "density", "train")  # cases that run in older trees, too
 PAIRED = (*LAPS, *KEYS)

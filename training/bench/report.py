@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import importlib.metadata
 import os
-import platform
 import statistics
 import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:  # docs/tables.py makes its tables from a record, without the environment
@@ -56,6 +54,7 @@ def bars(main: int, largest: int, rows: int) -> list[Bar]:
 def record(result: Result, load: float | None = None) -> dict[str, Any]:
     """The record of a run, in JSON types; load: `load()` of before it."""
     from fovconn_env.scenarios.serialize import scenario_to_json
+    from fovconn_env.training.evaluation.record import machine
 
     todo, memory = result.agenda, result.memory
     effort = todo.effort
@@ -99,19 +98,6 @@ def judged(bar: Bar, each: Sequence[float]) -> dict[str, Any]:
     median = statistics.median(each)
     holds = median <= bar.bar if bar.at_most else median >= bar.bar
     return bar._asdict() | {"each": list(each), "ratio": median, "least": min(each), "most": max(each), "holds": holds}
-
-
-def machine() -> dict[str, Any]:
-    """The processor and the system, without the computer's name."""
-    cpu = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
-    if info.is_file():
-        lines = info.read_text("utf-8", "replace").splitlines()
-        named = [line.partition(":")[2].strip() for line in lines if "model name" in line]
-        cpu = named[0] if named else cpu
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    system = f"{platform.system()} {platform.release().partition('-')[0]}"
-    return {"cpu": cpu, "cores": cores, "system": system, "python": platform.python_version()}
 
 
 def versions() -> dict[str, str]:

@@ -114,6 +114,19 @@ def about(policy: str) -> dict[str, Any]:
     return {"purpose": purpose, "overrides": dict(kind.overrides), "oracle": kind.oracle}
 
 
+def machine() -> dict[str, Any]:
+    """The processor and the system, without the computer's name."""
+    cpu = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.is_file():
+        lines = info.read_text("utf-8", "replace").splitlines()
+        named = [line.partition(":")[2].strip() for line in lines if "model name" in line]
+        cpu = named[0] if named else cpu
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    system = f"{platform.system()} {platform.release().partition('-')[0]}"
+    return {"cpu": cpu, "cores": cores, "system": system, "python": platform.python_version()}
+
+
 def run_block(seconds: float) -> dict[str, Any]:
     """When and where something was flown; the only part that differs between two runs of the same code."""
     return {
