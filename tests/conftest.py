@@ -73,6 +73,17 @@ def undrawn(monkeypatch):
         monkeypatch.setattr(f"fovconn_env.training.evaluation.{module}.can_draw", lambda: False)
 
 
+@pytest.fixture(scope="module")
+def one_thread():
+    """Torch sums on one thread: sums over threads differ in their last bits from one number of them to another."""
+    import torch  # not at the top: most tests run without it
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
 @pytest.fixture
 def fovconn(warm, monkeypatch, capsys, tmp_path):
     """Run the command in this process: status, stdout, stderr."""

@@ -11,7 +11,6 @@ from fovconn_env import scenario
 
 pytest.importorskip("stable_baselines3")
 
-import torch
 
 from fovconn_env.baselines import find_pilot
 from fovconn_env.baselines.learned.policy import load
@@ -26,6 +25,8 @@ from fovconn_env.training.learn.origin import check_recipe
 from fovconn_env.training.learn.ppo import Mappo, PPOSettings, Team
 from fovconn_env.training.learn.residual import Residual, ResidualSettings
 from fovconn_env.training.learn.rows import Rows
+
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 SMALL = Network(width=8, spots=4, hidden=(16, 8))
 SEEDS = range(10000, 10002)
@@ -62,14 +63,6 @@ def mappo(**changes):
 
 
 MAKERS = {"dagger": dagger, "ppo": team, "residual": residual, "mappo": mappo}
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _one_thread():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def state(algorithm):

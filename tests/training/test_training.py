@@ -54,19 +54,12 @@ from fovconn_env.training.learn.residual import Residual, ResidualSettings
 from fovconn_env.training.learn.rows import Rows, pack_simulator, unpack_simulator
 from tests.helpers import recorded_actions
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 ROOT = Path(__file__).parents[2]
 TINY = {"n_agents": 3, "warmup": 0.1, "max_cycles": 20, "course.settle": 0.0}
 SMALL = Network(width=8, spots=4, hidden=(16, 8))
 SEEDS = range(10000, 10002)
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _one_thread():
-    """Sums over threads differ in their last bits from one number of threads to another."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="module")
