@@ -11,6 +11,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from fovconn_env import layout
+from fovconn_env.envs.names import describe
 from fovconn_env.envs.options import read_options
 from fovconn_env.envs.spec import PlainSpec
 from fovconn_env.envs.viewer import RENDER_MODES, Viewer, render_metadata
@@ -98,7 +99,7 @@ class JointEnv(PlainSpec, gymnasium.Env[np.ndarray, np.ndarray]):
         self._viewer.close()
 
     def __repr__(self) -> str:
-        return f"<JointEnv<{self.scenario.name}>>"
+        return f"<JointEnv<{describe(self.scenario)}>>"
 
     __str__ = __repr__  # Gymnasium's has the id, which may have other settings by now
 

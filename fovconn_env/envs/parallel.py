@@ -17,6 +17,7 @@ from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 
 from fovconn_env import layout
 from fovconn_env.envs.joint import own_infos
+from fovconn_env.envs.names import describe
 from fovconn_env.envs.options import read_options
 from fovconn_env.envs.viewer import RENDER_MODES, Viewer, render_metadata
 from fovconn_env.errors import SettingError, as_numbers
@@ -198,7 +199,7 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
         self._viewer.close()
 
     def __repr__(self) -> str:
-        return f"{self.metadata['name']}({self.scenario.name}, n_agents={self.scenario.n_agents})"
+        return f"{self.metadata['name']}({describe(self.scenario)})"
 
     __str__ = __repr__  # PettingZoo's is the name alone
 

@@ -13,6 +13,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from fovconn_env.envs.joint import joint_spaces, named_infos
+from fovconn_env.envs.names import describe
 from fovconn_env.envs.options import read_options
 from fovconn_env.envs.spec import PlainSpec
 from fovconn_env.envs.viewer import Viewer, render_metadata
@@ -158,7 +159,7 @@ class VectorEnv(PlainSpec, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np
         self.simulator.close()
 
     def __repr__(self) -> str:
-        return f"VectorEnv({self.scenario.name}, num_envs={self.num_envs})"
+        return f"VectorEnv({describe(self.scenario, num_envs=self.num_envs)})"
 
     def _check_open(self) -> None:
         if self.closed:

@@ -18,6 +18,7 @@ from fovconn_env.envs.vector import VectorEnv
 from tests.helpers import digest
 
 ID = "fovconn/LeaderFollow-v0"
+VERSION = f"fovconn_env {fovconn_env.__version__}"
 SHORT = {"n_agents": 3, "warmup": 0.1, "max_cycles": 7}
 PETTINGZOO = {"parallel": parallel_env, "aec": fovconn_env.env, "raw": fovconn_env.raw_env}
 GYMNASIUM = {
@@ -342,8 +343,11 @@ def test_a_closed_batch_has_no_threads():
 def test_environments_say_what_they_are():
     made = [*(build("Mix-v0") for build in PETTINGZOO.values()), gymnasium.make("fovconn/Mix-v0"), JointEnv("Mix-v0")]
     made += [VectorEnv("Mix-v0", num_envs=2), Simulator(scenario("Mix-v0"), 2)]
-    for env in made:
-        assert "Mix-v0" in str(env)
-    assert str(parallel_env("Mix-v0", n_agents=4)) == "fovconn_v0(Mix-v0, n_agents=4)"
-    assert str(VectorEnv("Mix-v0", num_envs=2)) == "VectorEnv(Mix-v0, num_envs=2)"
-    assert str(gymnasium.make("fovconn/Mix-v0", base="ScaleUp-v0").unwrapped) == "<JointEnv<ScaleUp-v0>>"
+    for env in made[:-1]:
+        assert f"Mix-v0, n_agents=6, {VERSION}" in str(env).replace("num_envs=2, ", "")
+    assert "Mix-v0" in str(made[-1])
+    assert str(parallel_env("Mix-v0", n_agents=4)) == f"fovconn_v0(Mix-v0, n_agents=4, {VERSION})"
+    assert str(VectorEnv("Mix-v0", num_envs=2)) == f"VectorEnv(Mix-v0, n_agents=6, num_envs=2, {VERSION})"
+    assert str(gymnasium.make_vec("fovconn/Mix-v0", num_envs=2)) == str(VectorEnv("Mix-v0", num_envs=2))
+    made_otherwise = gymnasium.make("fovconn/Mix-v0", base="ScaleUp-v0", n_agents=7).unwrapped
+    assert str(made_otherwise) == f"<JointEnv<ScaleUp-v0, n_agents=7, {VERSION}>>"

@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from fovconn_env import Clock, Simulator, scenario
+from fovconn_env import Clock, Simulator, __version__, scenario
 
 pytest.importorskip("stable_baselines3")
 
@@ -445,11 +445,10 @@ def test_closed_rows_have_no_threads():
 
 
 def test_rows_say_what_they_are():
-    assert str(make_vec_env("Mix-v0", 2, monitor=False)) == "RobotsVecEnv(Mix-v0, n_worlds=2, num_envs=12)"
-    assert (
-        str(make_vec_env(["Mix-v0", "Regroup-v0"], 2))
-        == "VecMonitor<RobotsVecEnv(Mix-v0, Regroup-v0, n_worlds=2, num_envs=12)>"
-    )
+    rows = f"n_worlds=2, num_envs=12, fovconn_env {__version__}"
+    assert str(make_vec_env("Mix-v0", 2, monitor=False)) == f"RobotsVecEnv(Mix-v0, n_agents=6, {rows})"
+    both = make_vec_env(["Mix-v0", "Regroup-v0"], 2)
+    assert str(both) == f"VecMonitor<RobotsVecEnv(Mix-v0/Regroup-v0, n_agents=6, {rows})>"
     assert isinstance(make_vec_env(n_worlds=1), VecMonitor)
 
 

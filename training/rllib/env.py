@@ -27,3 +27,8 @@ class RobotsMultiAgentEnv(ParallelPettingZooEnv):
     def step(self, action_dict: dict[Any, Any]) -> tuple[dict, dict, dict, dict, dict]:
         observations, rewards, terminateds, truncateds, infos = super().step(action_dict)
         return observations, rewards, terminateds, {"__all__": truncateds["__all__"]}, infos
+
+    def __repr__(self) -> str:
+        return f"RobotsMultiAgentEnv<{self.par_env}>"
+
+    __str__ = __repr__  # RLlib's tells nothing

@@ -12,6 +12,7 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
 from fovconn_env import Scenario, Simulator, layout, scenario
+from fovconn_env.envs.names import describe
 from fovconn_env.envs.options import read_options
 from fovconn_env.envs.viewer import frame_rate
 from fovconn_env.envs.world import World, set_shared, worlds_of
@@ -237,8 +238,8 @@ class RobotsVecEnv(VecEnv):
         return values[0]
 
     def __repr__(self) -> str:
-        names = ", ".join(one.name for one in self.scenarios)
-        return f"RobotsVecEnv({names}, n_worlds={len(self._split)}, num_envs={self.num_envs})"
+        sizes = {"n_worlds": len(self._split), "num_envs": self.num_envs}
+        return f"RobotsVecEnv({describe(*self.scenarios, **sizes)})"
 
     def _show(self) -> None:
         self.teams[0].viewer.show(self.teams[0].simulators[0])
