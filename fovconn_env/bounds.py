@@ -194,10 +194,13 @@ def default_of(field: dataclasses.Field[Any]) -> str:
 
 
 def listed(kind: type) -> list[str]:
-    """A line for each field of a settings class: name, default, words, meaning, bounds."""
+    """A line for each field of a settings class: name, default, words, meaning with the unit first, bounds."""
     lines = []
     for field in dataclasses.fields(kind):
         bounds, words = field.metadata.get("bounds"), " or ".join(words_of(kind, field))
-        parts = [default_of(field), words, field.metadata.get("meaning"), str(bounds) if bounds else ""]
+        meaning, group = field.metadata.get("meaning"), field.default_factory
+        if isinstance(group, type):
+            meaning = f"{(group.__doc__ or '').partition('.')[0]}, see help({group.__name__})"
+        parts = [default_of(field), words, meaning, str(bounds) if bounds else ""]
         lines.append(f"{field.name}: {'; '.join(part for part in parts if part)}")
     return lines
