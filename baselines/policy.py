@@ -20,6 +20,7 @@ from fovconn_env.scenarios import presets
 from fovconn_env.scenarios.scenario import Scenario
 
 _ONE_WAY = "policy.act must be called one way in an episode, got {}: call policy.reset() where an episode starts"
+_BUILT_IN = "drop takes some away, which env.simulator.built_in_observations has"
 Observation = Mapping[str, np.ndarray] | np.ndarray
 
 
@@ -117,17 +118,22 @@ class Policy(Pilot):
     def act(self, observation: Observation, agent: str | None = None) -> np.ndarray:
         """Actions, float32 shares in [-1, 1], for one observation, (4,), or for a stack of them, (..., 4).
 
-        An observation is the environment's dict or its flat form; a stack has leading axes, such as (N, D) of a team or
-        (B, N, D) of a batch. agent: the robot whose observation it is, one of `scenario.agents`; a robot called by name
-        has its own copy of the policy, made when it is first called after `reset`. Raises `SettingError` where robots
-        with a memory would be mixed up: one observation without a name, stacks of other than whole teams or of a new
-        number of rows, calls by name and stacks within an episode; and if `decide` returns another shape than one row
-        of four a robot.
+        An observation is the environment's dict or its flat form; of one with own columns, a policy of this package
+        takes the built-in ones. A stack has leading axes, such as (N, D) of a team or (B, N, D) of a batch. agent: the
+        robot whose observation it is, one of `scenario.agents`; a robot called by name has its own copy of the policy,
+        made when it is first called after `reset`. Raises `SettingError` where robots with a memory would be mixed up:
+        one observation without a name, stacks of other than whole teams or of a new number of rows, calls by name and
+        stacks within an episode; where columns are dropped; and if `decide` returns another shape than one row of four
+        a robot.
         """
         if isinstance(observation, Mapping):
             parts = ("self", "neighbors", "ranges", "detections")[: 4 if self.scenario.n_detections else 3]
+            missing = [key for key in parts if key not in observation]
+            rule(not missing, "observation", f"a dict of {', '.join(parts)}", list(observation), _BUILT_IN)
             observation = np.concatenate([observation[key] for key in parts], axis=-1)
         flat = np.ascontiguousarray(observation, np.float32)
+        if self._trusted and self.scenario.own is not None:
+            flat = _built_in(flat, self.scenario)
         if agent is not None:
             return self._robot(agent, flat)._act(flat)
         if self.has_memory:
@@ -200,6 +206,16 @@ class Policy(Pilot):
             name = f"{type(self).__name__}.__init__"
             raise SettingTypeError(f"{name} must call super().__init__(scenario), got no call: it keeps the scenario")
         return self.scenario.agents
+
+
+def _built_in(flat: np.ndarray, scenario: Scenario) -> np.ndarray:
+    """Flat observations without the own columns behind them; `SettingError` where built-in ones are dropped."""
+    own, size, given = scenario.own, scenario.observation_size, flat.shape[-1]
+    if own is None or not own.changes_observation or given == size:
+        return flat
+    behind = 0 if own.observation is None else len(own.observation.names)
+    rule(not own.drop and given == size + behind, "observation", f"of {size} built-in columns", given, _BUILT_IN)
+    return np.ascontiguousarray(flat[..., :size])
 
 
 def _with_robots(forget: Callable[..., None]) -> Callable[..., None]:

@@ -13,6 +13,8 @@ import numpy as np
 from fovconn_env.baselines.policy import Policy
 from fovconn_env.errors import SettingError, missing_package, rule
 from fovconn_env.files import one_line
+from fovconn_env.scenarios.scenario import Scenario
+from fovconn_env.sim.own import OwnObservation
 
 ROWS = 64  # in each call of a library: how it sums depends on the number of rows
 
@@ -48,9 +50,25 @@ class Shared(Generic[Held]):
         return self
 
 
+class Observed:
+    """What a model observes, of built-in columns: these, or what its scenario makes of them, own columns for example.
+
+    built_in: the model reads the built-in ones in every scenario, as what this package has trained.
+    """
+
+    def __init__(self, scenario: Scenario, *, built_in: bool = False) -> None:
+        own = scenario.own
+        self._own = OwnObservation(scenario) if own is not None and own.changes_observation and not built_in else None
+        self.size = scenario.observation_size if self._own is None else self._own.size
+
+    def __call__(self, flat: np.ndarray) -> np.ndarray:
+        """Observations (R, size) float32 of built-in ones, (R, D) float32."""
+        return flat if self._own is None else self._own(flat)
+
+
 def check_size(file: Path, shape: Any, size: int) -> None:
     """`SettingError` unless a model takes observations of so many columns, by the shape of its input."""
-    hint = "same max_neighbors and max_ranges as in training? --set changes them"
+    hint = "same max_neighbors, max_ranges and own columns as in training? --set and --plugin change them"
     rule(shape == (size,), f"observations of {file}", f"({size},) as the scenario's", shape, hint)
 
 

@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 import onnxruntime
 
-from fovconn_env.baselines.adapters.model import ROWS, Model, check_size, in_blocks, opened
+from fovconn_env.baselines.adapters.model import ROWS, Model, Observed, check_size, in_blocks, opened
 from fovconn_env.baselines.learned.cards import BASES
 from fovconn_env.baselines.learned.inputs import ACTION, ACTIONS, BASE, SPEEDS, fingerprint
 from fovconn_env.errors import rule
@@ -25,7 +25,8 @@ MAX_BYTES = 1 << 28  # of a file; one of ours has 130 kB
 class OnnxPolicy(Model):
     """A model with one input, observations (R, D) float32, and an output of actions (R, 4), shares in [-1, 1].
 
-    What `fovconn export` wrote says for which speeds it is made, and of a correction the law, which flies with it.
+    D are the scenario's columns, own ones included. What `fovconn export` wrote reads the built-in ones, and says for
+    which speeds it is made, and of a correction the law, which flies with it.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -43,9 +44,10 @@ class OnnxPolicy(Model):
         law = told.get("base") if BASE in self._session.inputs else None
         rule(law is None or law in BASES, f"base of {self.file}", f"one of {', '.join(BASES)}", law, "written by hand?")
         self._law = BASES[law](scenario) if law else None
+        self._observed = Observed(scenario, built_in=meaning is not None)
         self._rows = self._check_inputs()
         self._output = self._session.output(ACTIONS)
-        blank = [np.zeros((self._rows, size), np.float32) for size in (scenario.observation_size, ACTION)]
+        blank = [np.zeros((self._rows, size), np.float32) for size in (self._observed.size, ACTION)]
         (actions,) = opened(self.file, lambda: self._run(*blank[: 1 if self._law is None else 2]))
         shape = np.shape(actions)
         rule(shape == (self._rows, ACTION), f"output of {self.file}", "(robots, 4)", shape, "vx, vy, vz, yaw rate")
@@ -53,7 +55,7 @@ class OnnxPolicy(Model):
     def decide(self, flat: np.ndarray) -> np.ndarray:
         """Actions (R, 4) for flat observations (R, D)."""
         base = [] if self._law is None else [self._law.decide(flat)]
-        (actions,) = in_blocks(self._run, self._rows, flat, *base)
+        (actions,) = in_blocks(self._run, self._rows, self._observed(flat), *base)
         return np.clip(actions, -1.0, 1.0)
 
     def _run(self, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -69,7 +71,7 @@ class OnnxPolicy(Model):
         rule(fine, f"inputs of {self.file}", "observations (robots, columns)", got, hint)
         rows, size = next(iter(inputs.values()))[1]
         if isinstance(size, int):  # else a name: any
-            check_size(self.file, (size,), self.scenario.observation_size)
+            check_size(self.file, (size,), self._observed.size)
         return rows if isinstance(rows, int) else ROWS
 
 

@@ -15,7 +15,7 @@ from ray.rllib.core.columns import Columns
 from ray.rllib.core.rl_module.rl_module import RLModule
 
 from fovconn_env.baselines.adapters import mark
-from fovconn_env.baselines.adapters.model import ROWS, Model, Shared, in_blocks, opened
+from fovconn_env.baselines.adapters.model import ROWS, Model, Observed, Shared, in_blocks, opened
 from fovconn_env.errors import SettingError, rule
 from fovconn_env.scenarios.scenario import Scenario
 
@@ -29,8 +29,8 @@ class ModulePolicy(Model):
             checkpoint = "out/rllib"
 
     checkpoint: a folder that `Algorithm.save_to_path` wrote, or that of a module in it. module: the module's name in
-    the former; without it the only one, or "shared". Observations go to the module as they are, so what connectors make
-    of them in training is missing. RLlib's checkpoints unpickle: open only what you trust.
+    the former; without it the only one, or "shared". Observations, own columns included, go to the module as they are,
+    so what connectors make of them in training is missing. RLlib's checkpoints unpickle: open only what you trust.
     """
 
     checkpoint: ClassVar[str | PathLike[str]]
@@ -43,8 +43,10 @@ class ModulePolicy(Model):
         module = opened(folder, lambda: RLModule.from_checkpoint(folder))
         name, kind = f"the module of {type(self).__name__}", type(module).__name__
         rule(not module.is_stateful(), name, "one without a state", kind, "an LSTM needs a policy of its own")
-        size, shape = scenario.observation_size, module.observation_space.shape
-        rule(shape == (size,), name, f"made for observations ({size},) as the scenario's", shape, "same settings?")
+        self._observed = Observed(scenario)
+        size, shape = self._observed.size, module.observation_space.shape
+        hint = "same max_neighbors, max_ranges and own columns as in training?"
+        rule(shape == (size,), name, f"made for observations ({size},) as the scenario's", shape, hint)
         self._module = Shared(module)
         self._distribution = module.get_inference_action_dist_cls()
         actions = self._actions(np.zeros((ROWS, size), np.float32))[0].shape
@@ -58,7 +60,7 @@ class ModulePolicy(Model):
 
     def decide(self, flat: np.ndarray) -> np.ndarray:
         """Actions (R, 4) for flat observations (R, D)."""
-        (actions,) = in_blocks(self._actions, ROWS, flat)
+        (actions,) = in_blocks(self._actions, ROWS, self._observed(flat))
         return np.clip(actions, -1.0, 1.0)
 
     def _actions(self, rows: np.ndarray) -> tuple[np.ndarray, ...]:

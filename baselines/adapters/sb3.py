@@ -20,13 +20,12 @@ from gymnasium import spaces
 from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.vec_env import VecNormalize
 
-from fovconn_env.baselines.adapters.model import ROWS, Model, Shared, check_size, in_blocks, opened
+from fovconn_env.baselines.adapters.model import ROWS, Model, Observed, Shared, check_size, in_blocks, opened
 from fovconn_env.baselines.learned.inputs import ACTION, LEADER, gain, input_size
 from fovconn_env.baselines.learned.networks import Encoder
 from fovconn_env.errors import SettingError, rule
 from fovconn_env.files import one_line, open_file
 from fovconn_env.scenarios.scenario import Scenario
-from fovconn_env.sim.own import OwnObservation
 
 OBSERVATION = "observation"  # a robot's own, in a `Dict` for asymmetric critics
 NEEDED = ("policy_class", "policy_kwargs", "observation_space", "action_space")
@@ -46,9 +45,8 @@ class Sb3Policy(Model):
         file, data, weights = self.file, *read(self.file)
         extra = extra_columns(data)
         self._gain = np.ones(ACTION, np.float32) if extra is None else gain(scenario)
-        self._own = OwnObservation(scenario) if extra is None and scenario.own is not None else None
-        size = scenario.observation_size if self._own is None else self._own.size
-        self._size = size if extra is None else input_size(scenario)
+        self._observed = Observed(scenario, built_in=extra is not None)
+        self._size = self._observed.size if extra is None else input_size(scenario)
         self._check_spaces(data, extra)
         self._as_dict = isinstance(data["observation_space"], spaces.Dict)
         self._mean, self._deviation, self._bound = self._statistics(data)
@@ -70,8 +68,9 @@ class Sb3Policy(Model):
 
     def decide(self, flat: np.ndarray) -> np.ndarray:
         """Actions (R, 4) for flat observations (R, D)."""
-        flat = flat if self._own is None else self._own(flat)
-        rows = np.clip((flat[:, : self._size] - self._mean) / self._deviation, -self._bound, self._bound)
+        rows = np.clip(
+            (self._observed(flat)[:, : self._size] - self._mean) / self._deviation, -self._bound, self._bound
+        )
         if self.has_memory and not self._memory:
             self._memory = tuple(np.repeat(part, len(flat), axis=0) for part in self._blank)
         actions, *memory = in_blocks(self._predict, ROWS, rows.astype(np.float32), *self._memory)

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from fovconn_env.baselines.adapters.model import ROWS, Model, Shared, in_blocks, opened
+from fovconn_env.baselines.adapters.model import ROWS, Model, Observed, Shared, in_blocks, opened
 from fovconn_env.errors import SettingError, rule
 from fovconn_env.files import one_line
 from fovconn_env.scenarios.scenario import Scenario
@@ -28,6 +28,7 @@ class TorchPolicy(Model):
     def __init__(self, scenario: Scenario) -> None:
         """Raises `SettingError` for what is no such module, and for one of another size, or that looks at a team."""
         super().__init__(scenario)
+        self._observed = Observed(scenario)
         module = opened(self.file, lambda: torch.load(self.file, map_location="cpu", weights_only=False))
         hint = "torch.save(policy, file) writes one; a state_dict has no network"
         rule(isinstance(module, nn.Module), f"{self.file}", "a module of torch", type(module).__name__, hint)
@@ -40,7 +41,7 @@ class TorchPolicy(Model):
 
     def decide(self, flat: np.ndarray) -> np.ndarray:
         """Actions (R, 4) for flat observations (R, D)."""
-        (actions,) = in_blocks(self._run, self._rows, flat)
+        (actions,) = in_blocks(self._run, self._rows, self._observed(flat))
         return np.clip(actions, -1.0, 1.0)
 
     def _run(self, rows: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -69,14 +70,16 @@ class TorchPolicy(Model):
 
     def _check_rows_apart(self) -> None:
         """`SettingError` unless it maps rows of the scenario to actions, and each by itself."""
-        size, rng = self.scenario.observation_size, np.random.default_rng(0)
+        size, rng = self._observed.size, np.random.default_rng(0)
         seen = rng.normal(0.0, 1.0, (self._rows, size)).astype(np.float32)
         try:
             (actions,), (turned,) = self._run(seen), self._run(seen[::-1].copy())
             (others,) = self._run(np.concatenate([seen[:1], -seen[1:]]))
         except Exception as problem:
             got = f"{type(problem).__name__}: {one_line(problem)}"
-            hint = "same max_neighbors and max_ranges as in training, and the same versions of its libraries?"
+            hint = (
+                "same max_neighbors, max_ranges and own columns as in training, and the same versions of its libraries?"
+            )
             raise SettingError(f"{self.file} must take observations ({size},), got {got}: {hint}") from problem
         rule(actions.shape == (self._rows, 4), f"actions of {self.file}", "(robots, 4)", actions.shape, "as shares")
         alike = np.allclose(actions, turned[::-1], atol=1e-4) and np.allclose(actions[0], others[0], atol=1e-4)

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fovconn_env import layout, scenario
+from fovconn_env import Columns, layout, parallel_env, scenario
 from fovconn_env.baselines import ORACLES, POLICIES, Expert, Policy, find_policy, load_policy
 from fovconn_env.baselines.laws.recovery import Recovery
 from fovconn_env.baselines.laws.simple import Follow, Random, Springs, Zero, spring, turn_camera
 from fovconn_env.baselines.learned.policy import Learned
 from fovconn_env.baselines.policy import scenario_of
+from fovconn_env.errors import SettingError
 from fovconn_env.sim.simulator import Simulator
 from tests.helpers import COARSE, SETTLED, few, recorded_actions, small
 
@@ -510,3 +511,30 @@ def test_the_documented_policy_flies(file):
 def test_every_policy_is_documented():
     text = (ROOT / "docs" / "policies.md").read_text("utf-8")
     assert [name for name in (*POLICIES, *ORACLES) if f"| `{name}` |" not in text] == []
+
+
+# ------------------------------------------------------------------------------------------------- columns of one's own
+def test_a_law_acts_by_the_built_in_columns_of_an_environment_with_more():
+    """Flat, as a dict, alone and in a stack."""
+    more = Columns(lambda rows: rows.own["vx"], gap=(-1.0, 1.0))
+    task = scenario(n_agents=3, warmup=0.1, observation=more)
+    simulator, plain = Simulator(task), Simulator(scenario(n_agents=3, warmup=0.1))
+    policy, wanted = load_policy("expert", task), load_policy("expert", plain).act(plain.reset(7))
+    np.testing.assert_array_equal(policy.act(simulator.reset(7)), wanted)
+    np.testing.assert_array_equal(policy.act(simulator.built_in_observations), wanted)
+    for flat in (False, True):
+        env = parallel_env(task, flat=flat)
+        observations, _ = env.reset(seed=7)
+        for i, agent in enumerate(env.agents):
+            np.testing.assert_array_equal(policy.act(observations[agent], agent=agent), wanted[0, i])
+
+
+@pytest.mark.parametrize("drop", ["ranges", "neighbors.age"])
+@pytest.mark.parametrize("flat", [False, True])
+def test_a_law_says_what_it_lacks_where_columns_are_dropped(drop, flat):
+    env = parallel_env(n_agents=3, warmup=0.1, drop=drop, flat=flat)
+    policy = load_policy("expert", env)
+    observations, _ = env.reset(seed=7)
+    with pytest.raises(SettingError, match=r"observation must be .*: drop takes some away, which env\.simulator"):
+        policy.act(observations["uav_0"], agent="uav_0")
+    assert policy.act(env.simulator.built_in_observations).shape == (1, 3, 4)
