@@ -33,7 +33,7 @@ class Flight(NamedTuple):
     waypoints: np.ndarray  # (W, 3)
     pieces: np.ndarray  # (P,) obstacles, kernel.records.PIECE, only the used ones
     vertices: np.ndarray  # (V, 2)
-    outcome: str  # one of checks.OUTCOMES
+    outcome: str  # see `recording.outcome`
     leader: np.ndarray  # (T,) the robot that leads in the step that begins here
 
     @property

@@ -12,7 +12,7 @@ import numpy as np
 from fovconn_env.errors import SettingError, rule
 from fovconn_env.fields import check_array, check_keys, check_texts, check_whole
 from fovconn_env.files import Archive, Damaged, Kind, one_line, read_archive, write_archive
-from fovconn_env.flights.checks import OUTCOMES, check_versions
+from fovconn_env.flights.checks import check_outcome, check_versions
 from fovconn_env.flights.flight import Film, Flight
 from fovconn_env.flights.recording import versions
 from fovconn_env.kernel.records import PIECE
@@ -132,7 +132,7 @@ def _log(archive: Archive) -> FlightLog:
     if header["seed"] is not None:
         check_whole("seed", header["seed"], 0, MAX_SEED, "of the episode")
     check_texts("policies", header["policies"], (0, n))
-    rule(header["outcome"] in OUTCOMES, "outcome", f"one of {', '.join(OUTCOMES)}", header["outcome"], "how it ended")
+    check_outcome(header["outcome"], task)
     measures = header["measures"]
     rule(isinstance(measures, dict), "measures", "an object", type(measures).__name__, "numbers by name")
     check_texts("names of measures", list(measures))

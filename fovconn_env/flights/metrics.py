@@ -24,6 +24,7 @@ MOVING = 0.05  # m/s, a robot that is faster moves
 ERRORS = ("lambda2", "yaw_mutual", "yaw_one_way")  # what the histograms count
 BINS_PER_DECADE, DECADES, LOWEST = 20, 8, 1e-6
 N_BINS = BINS_PER_DECADE * DECADES + 2  # the first: below LOWEST, the last: from 100 on
+ENDED = "ended_"  # before the name of an own termination: whether it ended the episode
 LOST_BY = tuple(f"lost_by_{cause.split()[-1]}" for cause in LOST_PAIR[1:])  # counts of lost links
 # by the code of a robot's lost link, that of its pair's
 _OF_PAIR = tuple(next(k for k, cause in enumerate(LOST_PAIR) if name.endswith(cause)) for name in LOST_LINK)
@@ -123,6 +124,7 @@ class Meter(Observer):
             "name_swaps": sums["name_swaps"].astype(float),
             "bytes_per_second": sums["bytes"] / duration,
             "return": sums["reward"],
+            **{f"{ENDED}{name}": ended.astype(float) for name, ended in self.simulator.own_outcomes().items()},
         }
 
     def histograms(self) -> np.ndarray:

@@ -57,7 +57,7 @@ class Recording:
     events: tuple[Event, ...]
     policies: tuple[str, ...]  # what flew each robot, in free words
     versions: dict[str, str]  # of fovconn_env, its kernels, python and libraries
-    outcome: str  # one of `checks.OUTCOMES`
+    outcome: str  # one of `checks.OUTCOMES`, or the names of own terminations
     hashes: tuple[tuple[int, str], ...]  # (step, hash of the state after it): 0, every 200, and the last
     hash_format: int = NEWEST  # see `state_hash`
 
@@ -175,8 +175,11 @@ def _operate(simulator: Simulator, event: Event | None, stick: np.ndarray) -> No
 
 
 def outcome(simulator: Simulator, world: int = 0) -> str:
-    """How a world's episode ended, one of `checks.OUTCOMES`."""
+    """How a world's episode ended: one of `checks.OUTCOMES`, or the names of own terminations."""
     episode = simulator.state.episode[world]
+    own = [name for name, ended in simulator.own_outcomes().items() if ended[world]]
+    if own:
+        return ", ".join(own)
     ends = {"success": "success", "collision": "collision", "disconnected": "disconnected", "truncated": "time"}
     return next((word for name, word in ends.items() if episode[name]), "unfinished")
 

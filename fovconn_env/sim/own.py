@@ -225,6 +225,9 @@ class Extension:
             taken = any(outcome == column.name for column in layout.INFO)
             rule(not taken, field, "under a name that infos have not", outcome, "rename the function")
             ends[outcome] = values
+        same = not self.outcomes or ends.keys() == self.outcomes.keys()
+        hint = f"in the step before {', '.join(self.outcomes)}"
+        rule(same, f"own termination {name}", "of the same outcomes in every step", list(ends), hint)
         return ends
 
     def _end(self, state: State, ends: dict[str, np.ndarray], moved: np.ndarray) -> None:
@@ -254,8 +257,8 @@ def named(field: str, name: str, returned: Any) -> list[tuple[str, Any]]:
     """What a function returned by name: a mapping's parts, or one under the name of the function."""
     if not isinstance(returned, Mapping):
         return [(name, returned)]
-    words = bool(returned) and all(isinstance(word, str) and word for word in returned)
-    rule(words, field, "an array, or a dict of arrays by name", list(returned), "names are texts")
+    words = bool(returned) and all(isinstance(word, str) and word and word.isprintable() for word in returned)
+    rule(words, field, "an array, or a dict of arrays by name", list(returned), "names are printable texts")
     return list(returned.items())
 
 

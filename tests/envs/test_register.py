@@ -10,11 +10,15 @@ import gymnasium
 import numpy as np
 import pettingzoo
 import pytest
+from gymnasium.envs.registration import EnvSpec
 
 import fovconn_env
 from fovconn_env import Recorder, Simulator, scenario
+from fovconn_env.baselines.policy import scenario_of
 from fovconn_env.errors import MissingPlugin, SettingError
-from fovconn_env.flights.recording import load, play_back
+from fovconn_env.flights.flight import from_recording
+from fovconn_env.flights.recording import load, outcome, play_back
+from fovconn_env.render.live.instant import instant_of
 from fovconn_env.scenarios import own, scenario_from_json, scenario_to_json
 
 PLUGIN = """
@@ -71,19 +75,18 @@ def test_every_constructor_takes_the_id(plugin):
         gymnasium.make_vec("fovconn/Mine-v0", num_envs=2).unwrapped,
         Simulator(made),
     ):
-        simulator = getattr(env, "simulator", env)
-        assert simulator.scenario.own == made.own
-        assert simulator.scenario.n_agents == 4
+        assert scenario_of(env).own == made.own
+        assert scenario_of(env).n_agents == 4
     if hasattr(pettingzoo, "make"):
-        assert pettingzoo.make("parallel", "fovconn/Mine-v0").unwrapped.scenario == made
+        assert scenario_of(pettingzoo.make("parallel", "fovconn/Mine-v0")) == made
 
 
 def test_a_spec_in_json_makes_the_same_environment(plugin):
     __import__("mine")
     spec = gymnasium.make("fovconn/Mine-v0", max_cycles=30).spec
     assert spec is not None
-    again = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(spec.to_json()))
-    assert again.unwrapped.scenario == scenario("Mine-v0", max_cycles=30)
+    again = gymnasium.make(EnvSpec.from_json(spec.to_json()))
+    assert scenario_of(again) == scenario("Mine-v0", max_cycles=30)
 
 
 @pytest.mark.parametrize(
@@ -127,8 +130,9 @@ def test_a_recording_comes_out_bit_for_bit_and_says_what_it_needs(plugin):
     recorder.recording().save("flight.npz")
     recording = load("flight.npz")
     assert len(recording.actions) == 6
-    for _ in play_back(recording):
-        pass  # raises where a hash differs
+    assert recording.outcome == "late"
+    *_, simulator = play_back(recording)  # raises where a hash differs
+    assert outcome(simulator) == instant_of(simulator).outcome == from_recording(recording).outcome == "late"
     own.REGISTERED.clear()
     with pytest.raises(MissingPlugin, match=r"flight.npz needs a plugin: 'Mine-v0' must be registered by .*'mine'"):
         load("flight.npz")
@@ -152,6 +156,13 @@ def test_commands_take_a_plugin_by_name_alone(plugin):
     assert "got 'Mine-v0'" in refused.stderr
     done = run(plugin, *flown, "--plugin", "mine", "--processes", "2")
     assert done.returncode == 0, done.stderr
+    assert "ended by late, %" in done.stdout
+    results = json.loads((plugin / "out" / "eval" / "results.json").read_text("utf-8"))
+    assert results["results"][0]["episodes"]["ended_late"] == [1.0, 1.0]
+    assert results["units"]["ended_late"] == "share"
+    again = run(plugin, *flown[:-2], "--policy", "zero", "--plugin", "mine", "--processes", "1")
+    assert "2 episodes reused" in again.stderr
+    assert "ended by late %" in (plugin / "out" / "eval" / "report.md").read_text("utf-8")
     name = "flights/follow@Mine-v0-0.npz"
     refused = run(plugin, "replay", name)
     assert refused.returncode == 2
@@ -159,6 +170,7 @@ def test_commands_take_a_plugin_by_name_alone(plugin):
     done = run(plugin, "--plugin=mine", "replay", name)
     assert done.returncode == 0, done.stderr
     assert "bit for bit" in done.stdout
+    assert "outcome: late" in done.stdout
     refused = run(plugin, "scenarios", "--plugin", "yours")
     assert refused.returncode == 2
     assert "--plugin must be a module that is found from here" in refused.stderr.replace("\n", " ")

@@ -361,6 +361,19 @@ def test_the_public_fields_are_those_of_the_records():
     assert Step._fields[0] == "moved"
 
 
+def test_the_outcomes_are_the_same_in_every_step():
+    ends = iter(("low", "high"))
+
+    def changing(step):
+        return {next(ends): np.zeros(len(step.moved), bool)}
+
+    simulator = Simulator(scenario(n_agents=3, warmup=0.1, termination=changing))
+    simulator.reset(7)
+    simulator.step(np.zeros((1, 3, 4)))
+    with pytest.raises(SettingError, match=r"of the same outcomes in every step, got \['high'\]: .* low"):
+        simulator.step(np.zeros((1, 3, 4)))
+
+
 def test_an_own_end_in_the_last_step_is_no_truncation():
     """As with the ends of the package: a flight that ends by itself in its last step was not cut off."""
 

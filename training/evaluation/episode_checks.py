@@ -10,7 +10,7 @@ import numpy as np
 from fovconn_env.errors import SettingError, rule
 from fovconn_env.fields import check_array, check_keys, check_texts
 from fovconn_env.files import Damaged, one_line
-from fovconn_env.flights.metrics import ERRORS, N_BINS
+from fovconn_env.flights.metrics import ENDED, ERRORS, N_BINS
 from fovconn_env.training.evaluation.flights import MEANS, SHARES
 from fovconn_env.training.evaluation.record import UNITS
 
@@ -36,7 +36,9 @@ def check_episodes(arrays: Mapping[str, np.ndarray], *, others: tuple[str, ...] 
 
     Raises `SettingError`.
     """
-    check_keys("arrays", arrays, (*_NEEDED, *others), _OTHERS)
+    own = [name for name in arrays if name.startswith(ENDED)]
+    check_texts("names of measures", own)
+    check_keys("arrays", arrays, (*_NEEDED, *others), (*_OTHERS, *own))
     check_array("seeds", arrays["seeds"], "i8", (-1,))
     seeds = arrays["seeds"]
     once = bool((seeds >= 0).all()) and len(np.unique(seeds)) == len(seeds)
@@ -47,6 +49,6 @@ def check_episodes(arrays: Mapping[str, np.ndarray], *, others: tuple[str, ...] 
             continue
         check_array(name, array, "i8" if name in ("seeds", *others) else "f8", (len(seeds),), finite=False)
         rule(not np.isinf(array).any(), name, "numbers or NaN", "infinity", "a measure without a value is NaN")
-    for name in SHARES:
+    for name in (*SHARES, *own):
         known = bool(np.isin(arrays[name], (0.0, 1.0)).all())
         rule(known, name, "0 or 1", arrays[name][:3].tolist(), "yes or no")

@@ -12,7 +12,7 @@ import numpy as np
 from fovconn_env import Recorder, Recording, Scenario
 from fovconn_env.baselines import ORACLES, POLICIES, Pilot, find_pilot
 from fovconn_env.errors import rule
-from fovconn_env.flights.metrics import ERRORS, Meter, quantile
+from fovconn_env.flights.metrics import ENDED, ERRORS, Meter, quantile
 from fovconn_env.flights.rollout import Observer, rollout
 from fovconn_env.sim.simulator import Simulator
 from fovconn_env.text import literal
@@ -118,6 +118,11 @@ def reuse_line(parts: Iterable[Reused | None]) -> str:
     return f"{count} episode{'s' if count > 1 else ''} reused from {first}{until}"
 
 
+def shares_of(episodes: Iterable[str]) -> list[str]:
+    """Those of an evaluation's measures that are yes or no: `SHARES`, and ends by own terminations."""
+    return [*SHARES, *(name for name in episodes if name.startswith(ENDED))]
+
+
 def label(policy: str | type[Pilot]) -> str:
     """What a policy is called in tables: its name in POLICIES or ORACLES, or its class's."""
     kind = find_pilot(policy)
@@ -128,7 +133,7 @@ def summary(evaluation: Evaluation) -> dict[str, Any]:
     """The numbers to report: shares with 95 % Wilson intervals, means over episodes, pooled estimator errors."""
     episodes, count = evaluation.episodes, len(evaluation.seeds)
     report: dict[str, Any] = {"episodes": count}
-    for name in SHARES:
+    for name in shares_of(episodes):
         report[name] = float(episodes[name].mean())
         report[f"{name}_interval"] = list(share_interval(episodes[name]))
     report["least_separation"] = float(episodes["least_separation"].min())

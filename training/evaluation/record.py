@@ -22,8 +22,8 @@ import numpy as np
 import fovconn_env
 from fovconn_env.baselines import find_pilot
 from fovconn_env.files import read_json, write_text
-from fovconn_env.flights.metrics import ERRORS
-from fovconn_env.training.evaluation.flights import SHARES, Evaluation, summary
+from fovconn_env.flights.metrics import ENDED, ERRORS
+from fovconn_env.training.evaluation.flights import SHARES, Evaluation, shares_of, summary
 from fovconn_env.training.evaluation.record_checks import check_record
 from fovconn_env.training.evaluation.statistics import NOTHING, Estimate
 
@@ -99,7 +99,7 @@ def result_of(evaluation: Evaluation, settings: Mapping[str, Any] | None = None)
     """The numbers of an evaluation; settings: those changed from the preset."""
     report = summary(evaluation)
     count = report.pop("episodes")
-    ends = {name: report.pop(f"{name}_interval") for name in SHARES}
+    ends = {name: report.pop(f"{name}_interval") for name in shares_of(evaluation.episodes)}
     measures = {name: Estimate(value, *ends.get(name, (math.nan, math.nan))) for name, value in report.items()}
     episodes = {name: values.tolist() for name, values in evaluation.episodes.items()}
     histograms = {str(name): counts.tolist() for name, counts in zip(ERRORS, evaluation.histograms.sum(0), strict=True)}
@@ -115,7 +115,7 @@ def about(policy: str) -> dict[str, Any]:
 
 
 def machine() -> dict[str, Any]:
-    """The processor and the system, without the computer's name."""
+    """Processor, cores that may be used, system and Python, without the computer's name."""
     cpu = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.is_file():
@@ -137,6 +137,7 @@ def run_block(seconds: float) -> dict[str, Any]:
         "numba": numba.__version__,
         "machine": platform.machine(),
         "cores": os.cpu_count(),
+        **{name: value for name, value in machine().items() if name in ("cpu", "system")},
     }
 
 
@@ -145,6 +146,7 @@ def to_json(record: Record) -> dict[str, Any]:
     """A record as `json.dumps(..., allow_nan=False)` takes it."""
     head = {"format": FORMAT, "study": record.study, "fovconn_env": record.version, "run": record.run}
     units = {name: unit for names, unit in UNITS.items() for name in names.split()}
+    units |= {name: "share" for result in record.results for name in result.measures if name.startswith(ENDED)}
     body = {"results": [_result_to_json(result) for result in record.results]}
     for name in ("overall", "scenarios"):
         if value := getattr(record, name):

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from fovconn_env import Scenario, scenario
+from fovconn_env.flights.metrics import ENDED
 from fovconn_env.training.evaluation import cameras, envelope
 from fovconn_env.training.evaluation.ablations import PANELS, Panel
 from fovconn_env.training.evaluation.comparison import EXPERT
@@ -64,6 +66,7 @@ def scenario_table(record: Record, name: str) -> Table:
         "score IQM": lambda result: estimate(result.measures["score"], "z.2f"),
         "> expert %": lambda result: percent(result.difference(EXPERT, "improvement")),
     }
+    columns |= {f"{title} %": partial(_share, measure) for measure, title in own_ends(_on(record, name)).items()}
     return _table(_on(record, name), columns, always=6)
 
 
@@ -115,8 +118,19 @@ def overall_table(record: Record) -> Table:
 
 def card(results: Mapping[str, Result], rows: Sequence[tuple[str, Sequence[str], str]] = CARD) -> Table:
     """Measure by measure, a column for each result under its name; rows as in `CARD`."""
-    lines = [[title, *(_cell(result, names, form) for result in results.values())] for title, names, form in rows]
+    every = [*rows, *((f"{title}, %", (measure,), "share") for measure, title in own_ends(results.values()).items())]
+    lines = [[title, *(_cell(result, names, form) for result in results.values())] for title, names, form in every]
     return ["measure", *results], lines
+
+
+def own_ends(results: Iterable[Result]) -> dict[str, str]:
+    """The measures that say whether own terminations ended the episodes, and what they are called in tables."""
+    names = dict.fromkeys(name for result in results for name in result.measures if name.startswith(ENDED))
+    return {name: f"ended by {name.removeprefix(ENDED)}" for name in names}
+
+
+def _share(measure: str, result: Result) -> str:
+    return percent(result.measures[measure])
 
 
 def _cell(result: Result, names: Sequence[str], form: str) -> str:

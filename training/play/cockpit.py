@@ -213,7 +213,7 @@ class Cockpit:
         elif panel[-1]:
             score, files = session.score(), f", recorded in {session.files[-1].name}" if session.files else ""
             foot = "Backspace: again   N: next seed   Esc: look"
-            title = _ENDS.get(score.outcome, score.outcome) + files
+            title = _ENDS.get(score.outcome, f"Ended by {score.outcome}") + files
             draw_panel(page, theme, title, [[("", score_rows(score))]], foot=foot)
         elif self.reason:
             hint = [("Space", "go on"), ("H", "all keys")]

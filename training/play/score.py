@@ -13,7 +13,7 @@ from fovconn_env.sim.simulator import Simulator
 class Score(NamedTuple):
     """Score of one flight so far."""
 
-    outcome: str  # one of checks.OUTCOMES
+    outcome: str  # see `recording.outcome`
     time: float  # s
     progress: float  # distance along the stick by the distance that the stick asked for, NaN without a leader
     kept: float  # share of the time in which the team was connected

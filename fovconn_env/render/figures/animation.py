@@ -58,7 +58,7 @@ class Movie:
         self._scene.show_trails(shown.poses[max(0, k - round(_TRAIL / shown.scenario.step_time)) : k + 1, :, :2])
         self._cursor.set_xdata([flight.time[k]] * 2)
         self._point.set_data([flight.time[k]], [flight.lambda2[k]])
-        ending = f"   {flight.outcome}" if k == len(flight.time) - 1 else ""
+        ending = f"   {in_figure(flight.outcome)}" if k == len(flight.time) - 1 else ""
         self._clock.set_text(
             f"{flight.time[k]:5.1f} s     {self._edges[k]} links     λ₂ = {flight.lambda2[k]:.2f}{ending}"
         )

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fovconn_env.flights.flight import world_stick
+from fovconn_env.flights.recording import outcome
 from fovconn_env.sim.simulator import Simulator
 
 
@@ -36,7 +37,6 @@ def instant_of(simulator: Simulator, world: int = 0) -> Instant:
     """A world now, copied; the simulator does not change."""
     state, scenario = simulator.state, simulator.scenario
     body, episode, poses = state.body[world], state.episode[world], simulator.poses()[world]
-    endings = (name for name in ("success", "collision", "disconnected", "truncated") if episode[name])
     works = {name: body[name] if scenario.faults else np.ones(len(body), bool) for name in ("alive", "sees", "talks")}
     return Instant(
         key=int(episode["key"]),
@@ -53,7 +53,7 @@ def instant_of(simulator: Simulator, world: int = 0) -> Instant:
         **{name: flags.copy() for name, flags in works.items()},
         ranges=_range_points(state.range_row[world], poses),
         waypoint=int(episode["waypoint"]),
-        outcome=next(endings, ""),
+        outcome=outcome(simulator, world) if episode["over"] else "",
     )
 
 

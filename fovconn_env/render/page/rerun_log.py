@@ -42,7 +42,7 @@ def write_rrd(flight: Flight, path: Path) -> Path:
     name = f"{label(flight.scenario.name)}, seed {flight.seed}"
     with rr.RecordingStream("fovconn_env", recording_id=name) as stream:
         stream.save(path, default_blueprint=_layout(rr, flight))
-        stream.send_recording_name(f"{name}: {flight.outcome} after {flight.time[-1]:.1f} s")
+        stream.send_recording_name(f"{name}: {label(flight.outcome)} after {flight.time[-1]:.1f} s")
         _log_ground(rr, stream, flight)
         _log_robots(rr, stream, flight)
         _log_links(rr, stream, flight)

@@ -91,7 +91,7 @@ def settings(flight: Flight) -> dict[str, Any]:
         "fails": not flight.alive.all(),
         "interval": max(INTERVAL, scenario.step_time),
         "bound": scenario.lambda2_min,
-        "ending": _ENDINGS.get(flight.outcome, flight.outcome),
+        "ending": _ending(flight),
         "observer": sight.observer(classes),
         "camera": {"axis": camera.unit_axis, "a_min": camera.a_min, "d_max": camera.d_max},
         "course": [_round_point(place) for place in course],
@@ -132,6 +132,11 @@ def _version() -> str:
         return "from a clone"
 
 
+def _ending(flight: Flight) -> str:
+    """How it ended, in a few words."""
+    return _ENDINGS.get(flight.outcome, label(flight.outcome))
+
+
 def _title(flight: Flight) -> str:
     return html.escape(f"{label(flight.scenario.name)}, seed {flight.seed}")
 
@@ -141,7 +146,7 @@ def _summary(flight: Flight) -> str:
     heights = {"floor": flight.scenario.floor, "ceiling": flight.scenario.ceiling}
     return (
         f"seed {flight.seed} · {flight.scenario.n_agents} robots · "
-        f"<b>{_ENDINGS.get(flight.outcome, flight.outcome)}</b> after {flight.time[-1]:.1f} s"
+        f"<b>{html.escape(_ending(flight))}</b> after {flight.time[-1]:.1f} s"
         + "".join(f" · {name} {height:g} m" for name, height in heights.items() if height is not None)
     )
 
