@@ -44,10 +44,59 @@ def test_help_and_version(fovconn):
         assert option in shown.out
         assert ("LeaderFollow-v0" in shown.out) == (option == "--scenario")
         assert fovconn(command, "-h").out == shown.out
+        assert all(f" {common} " in shown.out for common in ("--plugin", "--quiet", "-q", "--verbose", "-v"))
     assert fovconn("--version").out.strip() == fovconn_env.__version__
     bare = fovconn()
     assert bare.status == 2
     assert "eval" in bare.out + bare.err
+
+
+def test_quiet_says_results_alone_and_verbose_says_more(fovconn):
+    words = ("eval", "--policy", "zero", *TINY, "--seeds", "0-1", "--processes", "1", "--out")
+    normal, quiet = fovconn(*words, "a"), fovconn(*words, "b", "-q")
+    assert "100%" in normal.err
+    assert (quiet.status, quiet.err) == (0, "")
+    assert quiet.out.replace("b/", "a/") == normal.out
+    verbose = fovconn("-v", *words, "c")
+    assert f"fovconn_env {fovconn_env.__version__}, Python 3" in verbose.err
+    assert re.search(r"compiled kernels in /.*^took \d", verbose.err, re.MULTILINE | re.DOTALL)
+    assert verbose.out.replace("c/", "a/") == normal.out
+    assert "took" not in fovconn(*words, "a").err
+
+
+def test_what_went_wrong_is_said_in_any_volume(fovconn):
+    for volume in ((), ("-q",), ("--verbose",)):
+        wrong = fovconn("eval", "--scenario", "Nowhere-v0", *volume)
+        assert wrong.status == 2
+        assert "fovconn: scenario must be one of" in wrong.err
+        assert ("Traceback" in wrong.err) == (volume == ("--verbose",))
+    both = fovconn("scenarios", "-q", "-v")
+    assert both.status == 2
+    assert "-q and -v must be given one of the two" in both.err
+
+
+@pytest.mark.parametrize(
+    ("line", "found", "not_found"),
+    [
+        ("fovconn ev", ["eval"], "export"),
+        ("fovconn eval --policy exp", ["expert", "expert-flooding"], "follow"),
+        ("fovconn eval --policy mine", ["mine.py"], "expert"),
+        ("fovconn demo --scenario Tilt", ["TiltDynamics-v0"], "Mix-v0"),
+        ("fovconn train dagger --scenario Mi", ["Mix-v0"], "YawTrap-v0"),
+        ("fovconn eval --suite f", ["full"], "quick"),
+        ("fovconn replay --verb", ["--verbose"], "--out"),
+    ],
+)
+def test_words_are_completed(line, found, not_found, fovconn, monkeypatch):
+    """As bash asks for it, once `fovconn --install-completion` has told it to."""
+    Path("mine.py").touch()
+    words = line.split(" ")
+    for name, value in {"_FOVCONN_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": len(words) - 1}.items():
+        monkeypatch.setenv(name, str(value))
+    shown = fovconn()
+    assert shown.status == 0
+    assert set(found) <= set(shown.out.split())
+    assert not_found not in shown.out.split()
 
 
 # ---------------------------------------------------------------------------------------------------------------- eval

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import errno
-import importlib
-import importlib.util
 import io
 import itertools
 import sys
-import traceback
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -16,7 +14,7 @@ from typing import Annotated
 import typer
 
 import fovconn_env
-from fovconn_env.errors import FovconnError, OwnError, PolicyError, missing_package, place_of, policy_code, rule
+from fovconn_env.errors import FovconnError, PolicyError, missing_package, place_of
 from fovconn_env.training.cluster.connection import LOCAL
 from fovconn_env.training.commands import (
     bench,
@@ -30,16 +28,19 @@ from fovconn_env.training.commands import (
     play,
     replay,
     robot,
+    screen,
     submit,
     train,
 )
-from fovconn_env.training.commands.screen import err, out, say_error
+from fovconn_env.training.commands.common import Command, Group
+from fovconn_env.training.commands.screen import out, say_error, say_trace
 from fovconn_env.training.evaluation.interruption import Interrupted, raised_interruption
 
 _PACKAGE = Path(fovconn_env.__file__).parent
 _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)  # may name no file
 
 app = typer.Typer(
+    cls=Group,
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
@@ -65,7 +66,9 @@ app.command("scenarios")(listing.scenarios)
 app.command("policies")(listing.policies)
 for _name, _module in _COMMANDS.items():
     app.command(_name)(_module.command)
-app.add_typer(train.app, name="train")
+app.add_typer(train.app, name="train", cls=Group)
+for _registered in (*app.registered_commands, *train.app.registered_commands):
+    _registered.cls = Command
 
 
 def main() -> None:
@@ -73,11 +76,15 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # where it takes no degree sign, or no half of a letter
+    screen.set_volume("normal")
+    began = time.monotonic()
     try:
         with raised_interruption():
-            app(words(sys.argv[1:]), standalone_mode=True)
+            app(words(sys.argv[1:]), prog_name="fovconn", standalone_mode=True)
     except FovconnError as problem:
         say_error(str(problem))
+        if screen.is_verbose():
+            say_trace(problem)
         sys.exit(2)
     except Interrupted as kept:
         say_error(str(kept), "bold yellow")
@@ -85,26 +92,19 @@ def main() -> None:
     except Exception as problem:
         line = one_line(problem)
         say_error(line or whose_fault(problem))
-        if not line:
-            err.print("".join(traceback.format_exception(problem)), soft_wrap=True)
+        if not line or screen.is_verbose():
+            say_trace(problem)
         sys.exit(2 if line else 1)
+    finally:
+        screen.remark(f"took {time.monotonic() - began:.1f} s")
 
 
 def words(given: Sequence[str]) -> list[str]:
-    """The words of a command line, where --ray alone stands for --ray local: typer wants a value behind an option.
-
-    --plugin may stand anywhere; it comes first, as it is loaded before a command looks for an id.
-    """
+    """The words of a command line, where --ray alone stands for --ray local: typer wants a value behind an option."""
     said: list[str] = []
     for word, following in itertools.zip_longest(given, given[1:], fillvalue="-"):
         said += [word, LOCAL] if word == "--ray" and following.startswith("-") else [word]
-    first, rest, left = [], [], iter(said)
-    for word in left:
-        if word == "--plugin":
-            first += [word, *itertools.islice(left, 1)]
-        else:
-            (first if word.startswith("--plugin=") else rest).append(word)
-    return first + rest
+    return said
 
 
 def one_line(problem: Exception) -> str:
@@ -134,42 +134,17 @@ def whose_fault(problem: Exception) -> str:
     )
 
 
-@app.callback(invoke_without_command=True)
-def common(
-    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
-    plugins: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--plugin",
-            metavar="MODULE",
-            help="Import this module, found from here, which registers scenarios of your own; repeatable.",
-        ),
-    ] = None,
-) -> None:
-    """Options of the command itself."""
-    for name in plugins or ():
-        load_plugin(name)
-    if version:
+def _say_version(given: bool) -> bool:
+    if given:
         out.print(fovconn_env.__version__, highlight=False)
         raise typer.Exit()
+    return given
 
 
-def load_plugin(name: str) -> None:
-    """Import a module that registers scenarios, from the current folder or what is installed."""
-    words = name.split(".")
-    rule(
-        all(map(str.isidentifier, words)), "--plugin", "a module, package.module", name, "the folder is the current one"
-    )
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)
-    rule(_exists(name), "--plugin", "a module that is found from here", name, "is this its folder, is it installed?")
-    with policy_code(f"plugin {name} cannot be loaded:", OwnError):
-        importlib.import_module(name)
-
-
-def _exists(module: str) -> bool:
-    try:
-        return importlib.util.find_spec(module) is not None
-    except ModuleNotFoundError:  # of a folder above it
-        return False
+@app.callback()
+def common(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and exit.", callback=_say_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Options of the command itself."""

@@ -7,20 +7,23 @@ from typing import Annotated
 
 import typer
 
-from fovconn_env import PRESETS
-from fovconn_env.baselines import POLICIES, find_policy
+from fovconn_env.baselines import find_policy
 from fovconn_env.errors import rule
-from fovconn_env.training.commands.options import Replace, Settings, check_new, read_recording, read_scenarios
+from fovconn_env.training.commands.options import (
+    PolicyName,
+    Replace,
+    ScenarioName,
+    Settings,
+    check_new,
+    read_recording,
+    read_scenarios,
+)
 from fovconn_env.training.commands.screen import out, progress
 
 
 def command(
-    policy: Annotated[
-        str, typer.Option("--policy", help=f"Policy: {', '.join(POLICIES)}; or file.py:Class")
-    ] = "expert",
-    scenario_name: Annotated[
-        str, typer.Option("--scenario", help=f"Scenario id: {', '.join(PRESETS)}")
-    ] = "LeaderFollow-v0",
+    policy: PolicyName = "expert",
+    scenario_name: ScenarioName = "LeaderFollow-v0",
     settings: Settings = None,
     seeds: Annotated[
         str, typer.Option(help="Seeds; below 50000 they choose checkpoints and evaluate.")

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from fovconn_env import PRESETS, scenario
+from fovconn_env import HARD, PRESETS, scenario
 from fovconn_env.baselines import ORACLES, POLICIES, find_pilot
 from fovconn_env.errors import rule
 from fovconn_env.training.commands.campaigns import fly_all
@@ -22,11 +22,13 @@ from fovconn_env.training.commands.options import (
     check_folder,
     check_new,
     check_writable,
+    completing,
     parse,
 )
 from fovconn_env.training.commands.screen import err, grid, measures, out, say_replaced, say_written, width
 from fovconn_env.training.evaluation.campaign import (
     DEV_SEEDS,
+    SUITES,
     check_labels,
     parse_seeds,
     recording_file,
@@ -47,10 +49,16 @@ def command(
         typer.Option(
             "--policy",
             help=f"Policy: {', '.join([*POLICIES, *ORACLES])}; or your own, file.py:Class, model.zip. Repeatable.",
+            autocompletion=completing(*POLICIES, *ORACLES),
         ),
     ] = None,
     scenario_names: Annotated[
-        list[str] | None, typer.Option("--scenario", help=f"Scenario id: {', '.join(PRESETS)}. Repeatable.")
+        list[str] | None,
+        typer.Option(
+            "--scenario",
+            help=f"Scenario id: {', '.join(PRESETS)}. Repeatable.",
+            autocompletion=completing(*PRESETS, *HARD),
+        ),
     ] = None,
     suite_name: Annotated[
         str | None,
@@ -58,6 +66,7 @@ def command(
             "--suite",
             help="quick, full or hard: all policies (and those given) on four scenarios, 32 seeds; on all, 320; or on "
             "the tasks of hard-v1, 320, teams of 24 or more 64.",
+            autocompletion=completing(*SUITES),
         ),
     ] = None,
     only: Annotated[

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Sequence
+import glob
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from fovconn_env import PRESETS, Recording, Scenario, scenario
+from fovconn_env import HARD, PRESETS, Recording, Scenario, scenario
 from fovconn_env.baselines import ORACLES, POLICIES
 from fovconn_env.errors import SettingError, rule
 from fovconn_env.files import read_file
@@ -19,12 +20,36 @@ from fovconn_env.flights.recording import load
 OUT = Path("out")
 MOST_BYTES = 1 << 20  # of a list of scenarios
 
-ScenarioName = Annotated[str, typer.Option("--scenario", help="Scenario id: " + ", ".join(PRESETS))]
+
+def completing(*words: str) -> Callable[[str], list[str]]:
+    """What a shell shows for the beginning of a value: these words, and where none fits, files."""
+
+    def complete(begun: str) -> list[str]:
+        fit = [word for word in words if word.startswith(begun)]
+        return fit or sorted(glob.glob(f"{glob.escape(begun)}*"))
+
+    return complete
+
+
+ScenarioName = Annotated[
+    str,
+    typer.Option("--scenario", help="Scenario id: " + ", ".join(PRESETS), autocompletion=completing(*PRESETS, *HARD)),
+]
 PolicyName = Annotated[
-    str, typer.Option("--policy", help=f"Policy: {', '.join(POLICIES)}; or file.py:Class, model.zip")
+    str,
+    typer.Option(
+        "--policy",
+        help=f"Policy: {', '.join(POLICIES)}; or file.py:Class, model.zip",
+        autocompletion=completing(*POLICIES),
+    ),
 ]
 PilotName = Annotated[
-    str, typer.Option("--policy", help=f"Policy: {', '.join([*POLICIES, *ORACLES])}; or file.py:Class, model.zip")
+    str,
+    typer.Option(
+        "--policy",
+        help=f"Policy: {', '.join([*POLICIES, *ORACLES])}; or file.py:Class, model.zip",
+        autocompletion=completing(*POLICIES, *ORACLES),
+    ),
 ]
 Settings = Annotated[
     list[str] | None,

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import os
+import platform
 import sys
 import time
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import numba
+import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import (
@@ -24,9 +28,12 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
+import fovconn_env
 from fovconn_env import Scenario
 from fovconn_env.baselines import find_pilot
+from fovconn_env.errors import rule
 from fovconn_env.flights.metrics import compile_ahead
+from fovconn_env.kernel.cache import cache_folders
 from fovconn_env.text import literal
 from fovconn_env.training.evaluation import Evaluation
 from fovconn_env.training.evaluation.record import result_of
@@ -53,7 +60,32 @@ class _Description(ProgressColumn):
 
 
 out = _LiteralConsole(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else 132)
-err = _LiteralConsole(stderr=True)
+err = _LiteralConsole(stderr=True)  # how it goes
+_last = _LiteralConsole(stderr=True)  # why it ends, said to whoever wants to hear nothing else, too
+_volume = "normal"
+
+
+def set_volume(volume: Literal["quiet", "normal", "verbose"]) -> None:
+    """Whether a command says how it goes (`err`), and in the volume "verbose" remarks; results are always printed."""
+    global _volume
+    rule({volume, _volume} != {"quiet", "verbose"}, "-q and -v", "given one of the two", "both", "less, or more?")
+    before, _volume, err.quiet = _volume, volume, volume == "quiet"
+    if volume == "verbose" and before != volume:
+        kernels = next(iter(cache_folders()), "no folder")
+        libraries = f"numpy {np.__version__}, numba {numba.__version__}"
+        remark(f"fovconn_env {fovconn_env.__version__}, Python {platform.python_version()}, {libraries}")
+        remark(f"{os.cpu_count()} cores, {platform.machine()}; compiled kernels in {kernels}")
+
+
+def is_verbose() -> bool:
+    """Whether remarks are said."""
+    return _volume == "verbose"
+
+
+def remark(text: str) -> None:
+    """A line for whoever wants to know more."""
+    if is_verbose():
+        err.print(text, style="dim", soft_wrap=True)
 
 
 @contextmanager
@@ -103,7 +135,12 @@ def grid(title: str, head: list[str], rows: list[list[str]]) -> Table:
 
 def say_error(text: str, style: str = "bold red") -> None:
     """The line, beside what is printed, that tells why the command ends."""
-    err.print(f"fovconn: {text}", style=style, highlight=False, soft_wrap=True, markup=False)
+    _last.print(f"fovconn: {text}", style=style, highlight=False, soft_wrap=True, markup=False)
+
+
+def say_trace(problem: BaseException) -> None:
+    """Where in the code something went wrong."""
+    _last.print("".join(traceback.format_exception(problem)), soft_wrap=True)
 
 
 def say_written(files: list[Path]) -> None:

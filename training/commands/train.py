@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from fovconn_env import PRESETS
+from fovconn_env import HARD, PRESETS
 from fovconn_env.baselines import POLICIES, find_policy
 from fovconn_env.baselines.learned.cards import BASES
 from fovconn_env.baselines.learned.policy import Learned
 from fovconn_env.bounds import listed
 from fovconn_env.errors import rule
 from fovconn_env.training.commands import dataset
-from fovconn_env.training.commands.options import OUT, Processes, Task, check_folder, parse, read_tasks
+from fovconn_env.training.commands.options import OUT, Processes, Task, check_folder, completing, parse, read_tasks
 from fovconn_env.training.commands.screen import err, out, progress
 from fovconn_env.training.learn.trainings import TRAINERS, Training
 
@@ -35,6 +35,7 @@ Scenarios = Annotated[
         "Repeatable: the worlds are shared out, one policy learns all. With weight=2 behind one, worlds draw what they "
         "fly at each reset; with teacher=follow, DAgger imitates that policy there. @FILE has one a line.  "
         "[default: LeaderFollow-v0]",
+        autocompletion=completing(*PRESETS, *HARD),
     ),
 ]
 Changes = Annotated[
