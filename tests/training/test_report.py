@@ -1,8 +1,10 @@
 """Comparisons, their tables, the report's files, the export: numbers recomputed here, and whatever may be missing."""
 
+import hashlib
 import json
 import math
 import re
+from contextlib import closing
 from html.parser import HTMLParser
 
 import numpy as np
@@ -18,8 +20,8 @@ from fovconn_env.training.evaluation import evaluate
 from fovconn_env.training.evaluation.comparison import compare
 from fovconn_env.training.evaluation.draft import Draft
 from fovconn_env.training.evaluation.marl_eval import to_marl_eval
-from fovconn_env.training.evaluation.pictures import line_styles
-from fovconn_env.training.evaluation.report import MOST_LOST, _term, lost_table, write_report
+from fovconn_env.training.evaluation.pictures import line_styles, shared_out
+from fovconn_env.training.evaluation.report import MOST_LOST, Section, _term, in_html, lost_table, write_report
 from fovconn_env.training.evaluation.results import publish, record_of
 from fovconn_env.training.evaluation.statistics import paired_share_difference, share_interval
 from fovconn_env.training.evaluation.tables import (
@@ -30,12 +32,13 @@ from fovconn_env.training.evaluation.tables import (
     scenario_table,
 )
 from fovconn_env.training.evaluation.text import escape
+from tests.chromium import CHROMIUM, Browser
 from tests.test_text import HOSTILE
 
 HEAD = {"seeds": "0-23", "date": "2026-01-01", "settings": "n_agents=3 | max_cycles<=40"}
 POLICIES = ("expert", "random", "oracle", "expert-no-yaw", "my_own|policy")
 SEEDS = list(range(24))
-RUN = dict.fromkeys(("seconds", "finished", "python", "numpy", "numba"), "")
+RUN = dict.fromkeys(("seconds", "finished", "python", "numpy", "numba", "cpu", "cores", "system"), "")
 VOID = {"area", "base", "br", "col", "embed", "hr", "img", "input", "link", "meta", "source", "track", "wbr"}
 
 
@@ -359,6 +362,53 @@ def test_links_lead_to_the_definitions(team, tmp_path, monkeypatch):
     assert 'href="../../docs/metrics.md"' in files[1].read_text("utf-8")
 
 
+def test_policies_stand_in_the_order_of_success(team, tmp_path):
+    evaluations = team()
+    text = report(evaluations, tmp_path, {})[0].read_text("utf-8")
+    for title, names in (("LeaderFollow-v0", ["LeaderFollow-v0"]), ("Overview", ["LeaderFollow-v0", "Regroup-v0"])):
+        worth = {p: np.mean([of(evaluations, p, name)["success"].mean() for name in names]) for p in POLICIES}
+        table = text.partition(f"## {title}")[2].partition("|---")[2].partition("\n\n")[0]
+        shown = [row.split(" |")[0].strip("| ").replace(" †", "").replace("\\", "") for row in table.splitlines()[1:]]
+        assert shown == sorted(POLICIES, key=lambda policy: -worth[policy])
+
+
+def test_a_picture_has_eight_policies_at_most_and_the_expert_always(team):
+    for policies, sizes in ((POLICIES, [5]), ((*POLICIES, *"abcdefghijk"), [8, 8, 2]), ("abcdefghi", [8, 1])):
+        compared = compare(team(tuple(policies), names=("Regroup-v0",))).on("Regroup-v0")
+        parts = shared_out(compared)
+        assert [len(part) for part in parts] == sizes
+        assert all(next(iter(part)) == "expert" for part in parts) == ("expert" in policies)
+        assert {policy for part in parts for policy in part} == set(policies)
+        best = [each.result.measures["success"].value for part in parts for p, each in part.items() if p != "expert"]
+        assert best == sorted(best, reverse=True)
+
+
+def test_sections_have_places_of_their_own(written, tmp_path):
+    """Also where their names differ in what no place holds."""
+    text = in_html({}, [Section("a b"), Section("a_b"), Section("ä"), Section("_")])
+    places = re.findall(r'<h2 id="([^"]*)"', text)
+    assert places == ["a-b", "a-b-2", "section", "section-2"]
+    assert re.findall(r'href="#([^"]*)"', text) == places
+
+
+def test_a_click_sorts_by_a_column(written, tmp_path):
+    """Numbers from the largest, words from A; a second click turns them round."""
+    if CHROMIUM is None:
+        pytest.skip("The page is tested in a browser, and there is none: apt-get install chromium")
+    table = "document.querySelectorAll('section')[1].querySelector('table')"
+    with closing(Browser(tmp_path)) as browser:
+        browser.open(written[0] / "report.html")
+        for k, value in ((0, str), (1, lambda cell: -float(cell.split(" ")[0]))):
+            for turned in (False, True):
+                browser.evaluate(f"{table}.tHead.rows[0].cells[{k}].querySelector('button').click()")
+                cells = browser.evaluate(f"[...{table}.tBodies[0].rows].map((row) => row.cells[{k}].textContent)")
+                values = [value(cell) for cell in cells]
+                assert values == sorted(values, reverse=turned)
+                order = browser.evaluate(f"{table}.tHead.rows[0].cells[{k}].getAttribute('aria-sort')")
+                assert (order == "ascending") == ((k == 0) != turned)
+        assert browser.problems == []
+
+
 def test_every_policy_looks_different():
     styles = line_styles([f"policy-{k}" for k in range(15)] + ["expert"])
     assert len(set(styles.values())) == 16
@@ -409,7 +459,7 @@ def test_names_are_shown_as_they_are(team, tmp_path):
     files = report(team(policies), tmp_path, {**HEAD, "settings": "".join(HOSTILE)})
     assert {file.parent for file in files} == {tmp_path, tmp_path / "plots"}
     page = (tmp_path / "report.html").read_text("utf-8")
-    assert "<script" not in page
+    assert page.count("<script") == 1  # the page's own, which sorts
     assert "&lt;/script&gt;&lt;script&gt;alert(1)" in page
     text = (tmp_path / "report.md").read_text("utf-8")
     assert "](javascript" not in text
@@ -423,15 +473,29 @@ def test_a_report_says_what_was_run_and_where_everything_is(fovconn, tmp_path):
         "import numpy as np\nfrom fovconn_env.baselines import Policy\n\n\nclass Mine(Policy):\n"
         "    def decide(self, flat):\n        return np.zeros((len(flat), 4))\n"
     )
-    words = ("eval", "--policy", "mine.py:Mine", "--policy", "expert", "--seeds", "0-1", "--out", "out dir")
+    words = (
+        "eval",
+        "--policy",
+        "mine.py:Mine",
+        "--policy",
+        "expert",
+        "--policy",
+        "dagger",
+        "--seeds",
+        "0-1",
+        "--out",
+        "out dir",
+    )
     shown = fovconn(*words, "--set", "n_agents=3", "--set", "max_cycles=4", "--set", "warmup=0.1", "--processes", "1")
     assert shown.status == 0
     page = (tmp_path / "out dir" / "report.html").read_text("utf-8")
     text = (tmp_path / "out dir" / "report.md").read_text("utf-8")
-    command = "fovconn eval --policy mine.py:Mine --policy expert --seeds 0-1 --out 'out dir' --set n_agents=3"
+    command = "fovconn eval --policy mine.py:Mine --policy expert --policy dagger --seeds 0-1 --out 'out dir'"
     assert f"<dd>{command.replace(chr(39), '&#39;')}" in page
     assert f"command: {escape(command)}" in text
-    assert "Mine is mine.py:Mine" in page
+    digest = hashlib.sha256((tmp_path / "mine.py").read_bytes()).hexdigest()[:16]
+    assert f"Mine is mine.py:Mine (SHA-256 of mine.py {digest})" in page
+    assert re.search(r"<dt>machine</dt><dd>\S.*, \d+ cores, Linux \d", page)
     places = set(re.findall(r' id="([^"]+)"', page))
     links = set(re.findall(r'href="([^"]+)"', page))
     assert {link.removeprefix("#") for link in links if link.startswith("#")} <= places

@@ -24,6 +24,7 @@ from fovconn_env.training.evaluation.comparison import EXPERT, MERIT, Compared, 
 from fovconn_env.training.evaluation.statistics import survival
 
 WIDTH = 7.5  # inches, 1200 pixels
+MOST = 8  # policies in a picture
 ROW = 0.27  # inches of a policy in bar charts and forests
 CAUSES = dict(zip(LOST_PAIR[1:], ("#0072B2", "#E69F00", "#CC79A7", "#555555"), strict=True))
 MEASURES = {
@@ -62,12 +63,11 @@ def line_styles(policies: list[str]) -> dict[str, LineStyle]:
 
 @matplotlib.rc_context(STYLE)
 def draw(comparison: Comparison, names: Mapping[str, str], scenario: str, folder: Path) -> list[Picture]:
-    """Draw all pictures of a scenario for a folder, and write none.
+    """Draw all pictures of a scenario for a folder, and write none; of many policies several of each kind.
 
     names: what each of its policies is called, with its mark.
     """
-    styles, compared = line_styles(comparison.policies), comparison.on(scenario)
-    names = {policy: in_figure(name) for policy, name in names.items()}
+    styles, parts = line_styles(comparison.policies), shared_out(comparison.on(scenario))
     kinds: list[tuple[str, str, str, Callable[..., Figure | None]]] = [
         ("curves", "Connectivity and score", CURVES_TEXT, draw_curves),
         ("differences", "Differences to the expert", DIFFERENCES_TEXT, draw_differences),
@@ -75,12 +75,24 @@ def draw(comparison: Comparison, names: Mapping[str, str], scenario: str, folder
         ("errors", "Estimator errors", ERRORS_TEXT, draw_errors),
     ]
     pictures = []
-    for kind, title, text, make in kinds:
-        figure = make(compared, names, styles)
+    for (kind, title, text, make), (k, compared) in itertools.product(kinds, enumerate(parts, start=1)):
+        figure = make(compared, {policy: in_figure(names[policy]) for policy in compared}, styles)
         if figure is not None:
-            path = folder / f"{file_name(scenario)}_{kind}.png"
-            pictures.append(Picture(path, title, text, png(figure)))
+            path = folder / f"{file_name(scenario)}_{kind}{f'_{k}' if k > 1 else ''}.png"
+            part = f", {k} of {len(parts)}" if len(parts) > 1 else ""
+            pictures.append(Picture(path, title + part, text, png(figure)))
     return pictures
+
+
+def shared_out(compared: Mapping[str, Compared]) -> list[dict[str, Compared]]:
+    """The policies of each picture, `MOST` at most: the expert in every one, the others by their success."""
+    expert = {policy: each for policy, each in compared.items() if policy == EXPERT}
+    others = sorted(
+        ((policy, each) for policy, each in compared.items() if policy != EXPERT),
+        key=lambda one: -one[1].result.measures["success"].value,
+    )
+    size = MOST - len(expert)
+    return [expert | dict(others[first : first + size]) for first in range(0, max(len(others), 1), size)]
 
 
 CURVES_TEXT = (

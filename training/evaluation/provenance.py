@@ -105,7 +105,7 @@ def _digest(path: str, *state: int) -> str:
 
 def changed(files: Mapping[str, str]) -> list[str]:
     """Those of the files that are not as they were, by name."""
-    return [_name(path) for path, was in files.items() if digest(path) != was]
+    return [seen_from_here(path) for path, was in files.items() if digest(path) != was]
 
 
 def merge(files: Files, more: Mapping[str, str]) -> Files:
@@ -116,10 +116,10 @@ def merge(files: Files, more: Mapping[str, str]) -> Files:
 
 def torn(files: Mapping[str, str]) -> list[str]:
     """Files that changed while they were read, by name."""
-    return [_name(path) for path, was in files.items() if was == _CHANGED]
+    return [seen_from_here(path) for path, was in files.items() if was == _CHANGED]
 
 
-def _name(path: str) -> str:
+def seen_from_here(path: str) -> str:
     """A path as a user in the current folder would write it."""
     return path.removeprefix(os.path.join(os.path.realpath("."), ""))
 

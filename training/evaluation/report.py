@@ -17,7 +17,7 @@ from fovconn_env.layout import LOST_PAIR
 from fovconn_env.text import printable
 from fovconn_env.training.evaluation.comparison import EXPERT, Comparison
 from fovconn_env.training.evaluation.pictures import Picture, draw
-from fovconn_env.training.evaluation.record import Record
+from fovconn_env.training.evaluation.record import Record, Result
 from fovconn_env.training.evaluation.tables import (
     difference_table,
     estimator_table,
@@ -41,6 +41,7 @@ TERMS = (  # what a column's name says, in its unit
     ),
     ("success", "share of episodes that reached the scenario's goal, connected and without a collision, %"),
     ("collided", "number of episodes that ended by a collision"),
+    ("ended by", "share of episodes that a termination of the scenario's own ended, by its name, %"),
     ("connected", "share of time with lambda2 > lambda2_min, mean over episodes, %"),
     ("progress", "leader's speed along the stick over the speed asked for, mean over episodes; none without a stick"),
     (
@@ -76,11 +77,6 @@ class Section(NamedTuple):
     tables: Sequence[Grid] = ()
     pictures: Sequence[Picture] = ()
 
-    @property
-    def anchor(self) -> str:
-        """The section's place in the page."""
-        return _anchor(self.title)
-
 
 def write_report(comparison: Comparison, record: Record, folder: Path, head: Mapping[str, str]) -> list[Path]:
     """Write report.md, report.html and plots/*.png into a folder, which must be there; returns the files.
@@ -104,7 +100,7 @@ def make_report(
     record: the numbers of the comparison; head: what was run, by name, for the top: seeds, versions, date, settings;
     drawn: pictures that there are, by scenario; the others are drawn now.
     """
-    plots = folder / PLOTS
+    plots, record = folder / PLOTS, by_success(record)
     plots.mkdir(exist_ok=True)
     sections = [_overview(record)]
     for name in comparison.scenarios:
@@ -116,6 +112,15 @@ def make_report(
     sections.append(Section("Definitions", terms=TERMS, link=(words, address)))
     texts = {folder / "report.md": in_markdown(head, sections, folder), folder / "report.html": in_html(head, sections)}
     return texts, [picture.path for section in sections for picture in section.pictures]
+
+
+def by_success(record: Record) -> Record:
+    """The record with its results in the order of success, the best first; of equal ones as they were."""
+
+    def best_first(results: Sequence[Result]) -> list[Result]:
+        return sorted(results, key=lambda result: -result.measures["success"].value)
+
+    return record._replace(results=best_first(record.results), overall=best_first(record.overall))
 
 
 def names_on(comparison: Comparison, record: Record, scenario: str) -> dict[str, str]:
@@ -154,7 +159,13 @@ def in_html(head: Mapping[str, str], sections: Sequence[Section]) -> str:
         finalize=_shown,
     )
     loader.filters |= {"embedded": _embedded, "term": _term, "anchor": _anchor}
-    return loader.get_template("report.html").render(title=TITLE, head=head, sections=sections) + "\n"
+    anchors: dict[str, Section] = {}
+    for section in sections:
+        anchor = _anchor(section.title) or "section"
+        while anchor in anchors:  # titles may differ in what no anchor holds
+            anchor += "-2"
+        anchors[anchor] = section
+    return loader.get_template("report.html").render(title=TITLE, head=head, sections=anchors) + "\n"
 
 
 def lost_table(comparison: Comparison, record: Record, scenario: str) -> tuple[Table, int]:
@@ -199,7 +210,8 @@ def _scenario(comparison: Comparison, record: Record, scenario: str) -> Section:
         note = [f"The first {MOST_LOST} of {total}."] if total > MOST_LOST else []
         note.append("lambda2_hat, mean over the robots, and |cos| between their v2 and the true one: one step before.")
         tables.append(Grid("Teams that the expert and its variants lost", *lost, note))
-    lines = [f"{count} episode{'s' if count > 1 else ''} a policy, all from the same seeds."]
+    order = " Policies by success, the best first." if len(comparison.on(scenario)) > 1 else ""
+    lines = [f"{count} episode{'s' if count > 1 else ''} a policy, all from the same seeds.{order}"]
     return Section(scenario, lines, tables=tables)
 
 
