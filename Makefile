@@ -4,6 +4,7 @@ VENV ?= .venv
 LIBRARIES ?= .venvs
 WORKERS ?= 2
 ARGS ?=
+PYTHONS ?=
 RAY ?=
 LONG := --policy expert --policy expert-flooding --policy augmented --policy omni
 SHOWN := LeaderFollow-v0_curves.png LeaderObstacles-v0_causes.png
@@ -19,7 +20,7 @@ PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo results docs test suite suite-nojit test-fast test-integrations fuzz lint format dist clean
+.PHONY: help demo results docs test suite suite-nojit test-fast test-integrations test-pythons fuzz lint format dist clean
 ifndef BESIDE
 .NOTPARALLEL:
 endif
@@ -48,6 +49,9 @@ test-integrations: $(addprefix $(LIBRARIES)/,$(addsuffix /installed,current olde
 	$(LIBRARIES)/current/bin/python -m pytest tests/integrations tests/training/test_sb3.py tests/training/test_training.py tests/training/test_curriculum.py tests/training/test_mappo.py tests/training/test_sweeps.py tests/render/test_rerun.py tests/test_files.py $(ARGS)
 	$(LIBRARIES)/older/bin/python -m pytest tests/integrations $(ARGS)
 	$(LIBRARIES)/ros/bin/python -m pytest tests/integrations/test_ros2.py $(ARGS)
+
+test-pythons: $(VENV)/installed-dev  ## a wheel, installed and flown with each Python from 3.11 on that is found (PYTHONS="...")
+	$(BIN)/python tests/pythons.py $(PYTHONS)
 
 fuzz: $(VENV)/installed-dev  ## the tests with random inputs, with as many as docs/security.md promises (hours)
 	FUZZ=full $(PYTEST) -m fuzz $(ARGS)
