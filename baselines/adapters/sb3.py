@@ -36,8 +36,9 @@ STATISTICS = ("vecnormalize.pkl", "vec_normalize.pkl")  # names that SB3's zoo a
 class Sb3Policy(Model):
     """A model of Stable-Baselines3, without exploration, as trained on `make_vec_env` or by `fovconn train`."""
 
-    has_memory = False  # unless the network is a recurrent one
+    has_memory = False  # unless the network is a recurrent one, or sees several steps at once
     _memory: tuple[np.ndarray, ...] = ()  # (R, ...) each
+    _past: np.ndarray | None = None  # (R, (frames - 1) D), what robots have seen in the steps before
 
     def __init__(self, scenario: Scenario) -> None:
         """Raises `SettingError` for what is no such model, cannot be opened here, or was made for other spaces."""
@@ -47,12 +48,13 @@ class Sb3Policy(Model):
         self._gain = np.ones(ACTION, np.float32) if extra is None else gain(scenario)
         self._observed = Observed(scenario, built_in=extra is not None)
         self._size = self._observed.size if extra is None else input_size(scenario)
+        self._frames = frames(data["observation_space"], self._size)
         self._check_spaces(data, extra)
         self._as_dict = isinstance(data["observation_space"], spaces.Dict)
         self._mean, self._deviation, self._bound = self._statistics(data)
         self._network = Shared(build(file, data, weights))
         self._blank = self._start()
-        self.has_memory = bool(self._blank)
+        self.has_memory = bool(self._blank) or self._frames > 1
 
     @classmethod
     def files(cls) -> list[Path]:
@@ -60,22 +62,37 @@ class Sb3Policy(Model):
         return [cls.file, *statistics(cls.file)[:1]]
 
     def reset(self, mask: npt.ArrayLike | None = None) -> None:
-        """Forget the states of a recurrent network."""
+        """Forget the states of a recurrent network, and what was seen in the steps before."""
         if mask is None:
-            self._memory = ()
-        for part in self._memory:
+            self._memory, self._past = (), None
+        for part in (*self._memory, *([] if self._past is None else [self._past])):
             part[np.ravel(np.asarray(mask, bool))] = 0.0
 
     def decide(self, flat: np.ndarray) -> np.ndarray:
         """Actions (R, 4) for flat observations (R, D)."""
-        rows = np.clip(
-            (self._observed(flat)[:, : self._size] - self._mean) / self._deviation, -self._bound, self._bound
-        )
-        if self.has_memory and not self._memory:
+        rows = self._observed(flat)[:, : self._size]
+        one_by_one = len(self._mean) == self._size  # VecFrameStack around VecNormalize, not the other way round
+        rows = self._stacked(self._normal(rows)) if one_by_one else self._normal(self._stacked(rows))
+        if self._blank and not self._memory:
             self._memory = tuple(np.repeat(part, len(flat), axis=0) for part in self._blank)
-        actions, *memory = in_blocks(self._predict, ROWS, rows.astype(np.float32), *self._memory)
+        actions, *memory = in_blocks(self._predict, ROWS, rows, *self._memory)
         self._memory = tuple(memory)
         return np.clip(actions * self._gain, -1.0, 1.0)
+
+    def _normal(self, rows: np.ndarray) -> np.ndarray:
+        """The rows as `VecNormalize` makes them."""
+        rows = np.clip((rows - self._mean) / self._deviation, -self._bound, self._bound)
+        return rows.astype(np.float32)
+
+    def _stacked(self, rows: np.ndarray) -> np.ndarray:
+        """The rows behind those of the steps before, the last one last; zeros before the first, as `VecFrameStack`."""
+        if self._frames == 1:
+            return rows
+        if self._past is None:
+            self._past = np.zeros((len(rows), (self._frames - 1) * self._size), np.float32)
+        whole = np.concatenate([self._past, rows], axis=1)
+        self._past = whole[:, self._size :].copy()
+        return whole
 
     def _predict(self, rows: np.ndarray, *memory: np.ndarray) -> tuple[np.ndarray, ...]:
         """Actions and states of some robots; SB3 has the robots of a state in its second axis."""
@@ -87,7 +104,7 @@ class Sb3Policy(Model):
     def _start(self) -> tuple[np.ndarray, ...]:
         """The state of one robot before its first step, () without one. `SettingError` if the network needs more."""
         try:
-            _, *states = self._predict(np.zeros((ROWS, self._size), np.float32))
+            _, *states = self._predict(np.zeros((ROWS, self._frames * self._size), np.float32))
         except KeyError as problem:
             got = f"{self.file} must fly by {OBSERVATION!r} alone, got a need for {problem}: its actor sees more, which"
             raise SettingError(f"{got} fovconn_env.training.sb3.AsymmetricPolicy shows the critic alone") from problem
@@ -102,7 +119,7 @@ class Sb3Policy(Model):
             seen = seen[OBSERVATION]
         hint = "fly the NAME.safetensors beside it, which is the same network with its law"
         rule(not extra, f"{self.file}", "a model that acts alone", "a correction of a law", hint)
-        check_size(self.file, seen.shape, self._size)
+        check_size(self.file, seen.shape, self._frames * self._size)
         box = isinstance(actions, spaces.Box) and actions.shape == (ACTION,)
         shares = box and (extra is not None or bool((actions.low == -1.0).all() and (actions.high == 1.0).all()))
         hint = "vx, vy, vz and yaw rate as shares, as in make_vec_env"
@@ -117,8 +134,9 @@ class Sb3Policy(Model):
         last, files = data.get("_last_obs"), statistics(self.file)
         last = last.get(OBSERVATION) if isinstance(last, dict) else last
         normal = None
-        if isinstance(last, np.ndarray) and last.ndim == 2 and last.shape[1] >= self._size:
-            normal = not np.isin(last[:, LEADER], (0.0, 1.0)).all()
+        leader = (self._frames - 1) * self._size + LEADER  # in the last of the frames
+        if isinstance(last, np.ndarray) and last.ndim == 2 and last.shape[1] > leader:
+            normal = not np.isin(last[:, leader], (0.0, 1.0)).all()
         hint = f"save VecNormalize's statistics beside it, as {' or '.join(STATISTICS)}"
         rule(not normal or bool(files), f"{self.file}", "a model of observations as they are", "normalised ones", hint)
         if normal is False or not files:
@@ -127,7 +145,8 @@ class Sb3Policy(Model):
             loaded = opened(files[0], lambda: pickle.load(stream))
         rule(isinstance(loaded, VecNormalize), f"{files[0]}", "statistics of VecNormalize", type(loaded).__name__, hint)
         moments: Any = loaded.obs_rms[OBSERVATION] if isinstance(loaded.obs_rms, dict) else loaded.obs_rms
-        check_size(files[0], moments.mean.shape, self._size)
+        whole = moments.mean.shape == (self._frames * self._size,)
+        check_size(files[0], moments.mean.shape, self._size * (self._frames if whole else 1))
         return moments.mean, np.sqrt(moments.var + loaded.epsilon), loaded.clip_obs
 
 
@@ -139,6 +158,19 @@ def extra_columns(data: Mapping[str, Any]) -> int | None:
     options = data["policy_kwargs"]
     kind, words = options.get("features_extractor_class"), options.get("features_extractor_kwargs") or {}
     return words.get("extra") if isinstance(kind, type) and issubclass(kind, Encoder) else None
+
+
+def frames(space: spaces.Space, size: int) -> int:
+    """How many observations of `size` columns a model sees at once, 1 for one that was trained without `VecFrameStack`.
+
+    It puts them side by side, and repeats each bound as often, which tells them from longer observations.
+    """
+    space = space[OBSERVATION] if isinstance(space, spaces.Dict) and OBSERVATION in space.spaces else space
+    if not isinstance(space, spaces.Box) or len(space.shape) != 1:
+        return 1
+    count, rest = divmod(space.shape[0], size)
+    grids = [bound.reshape(-1, count) for bound in (space.low, space.high)] if count > 1 and not rest else []
+    return count if grids and all((grid == grid[:, :1]).all() for grid in grids) else 1
 
 
 def statistics(file: Path) -> list[Path]:

@@ -21,7 +21,7 @@ import torch
 from gymnasium import spaces
 from sb3_contrib import ARS, TQC, TRPO, CrossQ, RecurrentPPO
 from stable_baselines3 import A2C, DQN, PPO, SAC, TD3
-from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 
 from fovconn_env.training.learn.learning import write_policy
 from fovconn_env.training.learn.model import Network
@@ -165,6 +165,81 @@ def test_a_checkpoint_has_statistics_of_its_own_and_others_are_left_alone(flat, 
     np.testing.assert_allclose(load_policy(file, TASK).act(flat), wanted, atol=1e-6)
     plain = saved(trained(PPO, **ON), tmp_path / "plain.zip")
     load_policy(plain, TASK)  # it saw observations as they are
+
+
+# ----------------------------------------------------------------------------------------------------- frame stacks
+def flights(env, policy, steps=20):
+    """Actions of a policy beside those of the model, which sees the rows of `env`; worlds end after eight steps."""
+    seen = env.reset()
+    raw = env.unwrapped.simulator.observations.reshape(12, -1)
+    for _ in range(steps):
+        yield policy.act(raw), seen
+        seen, _, dones, _ = env.step(np.random.default_rng(1).uniform(-1, 1, (12, 4)))
+        raw = env.unwrapped.simulator.observations.reshape(12, -1)
+        policy.reset(dones)
+
+
+STACKS = {
+    "plain": lambda env: VecFrameStack(env, 3),
+    "normalised one by one": lambda env: VecFrameStack(VecNormalize(env, clip_obs=3.0), 3),
+    "normalised as a stack": lambda env: VecNormalize(VecFrameStack(env, 3), clip_obs=3.0),
+}
+
+
+@pytest.mark.parametrize("state", [False, True], ids=["flat", "dict"])
+@pytest.mark.parametrize("name", STACKS)
+def test_a_model_that_sees_several_steps_remembers_them(name, state, tmp_path):
+    env = STACKS[name](rows(state=state))
+    model = trained(PPO, policy=AsymmetricPolicy if state else "MlpPolicy", env=env, **ON)
+    file = saved(model, tmp_path / "mine.zip")
+    if name != "plain":
+        with pytest.raises(SettingError, match="got 'normalised ones'"):
+            load_policy(file, TASK)
+        normal = env if isinstance(env, VecNormalize) else env.venv
+        normal.training = False
+        normal.save(str(tmp_path / "vecnormalize.pkl"))
+    policy = load_policy(file, TASK)
+    assert policy.has_memory
+    for actions, seen in flights(env, policy):
+        np.testing.assert_allclose(actions, model.predict(seen, deterministic=True)[0], atol=1e-6)
+
+
+def test_a_stack_of_one_robot_is_its_own(flat, tmp_path):
+    """By name as in a stack; what a robot has seen is forgotten with `reset`, and a copy goes on alone."""
+    policy, by_name = (
+        load_policy(saved(trained(PPO, env=VecFrameStack(rows(), 2), **ON), tmp_path / "mine.zip"), TASK)
+        for _ in range(2)
+    )
+    first, second = flat[:6], flat[6:12]
+    for seen in (first, second):
+        actions = policy.act(seen)
+        for i, row in enumerate(seen):
+            np.testing.assert_array_equal(by_name.act(row, agent=f"uav_{i}"), actions[i])
+    other = copy.deepcopy(policy)
+    policy.reset()
+    assert np.abs(policy.act(second) - actions).max() > 1e-5
+    assert np.abs(other.act(second) - actions).max() > 1e-5
+
+
+def test_recurrent_models_may_see_several_steps(tmp_path):
+    env = VecFrameStack(rows(), 2)
+    model = trained(RecurrentPPO, policy="MlpLstmPolicy", env=env, **{**ON, **LSTM})
+    policy = load_policy(saved(model, tmp_path / "mine.zip"), TASK)
+    state = None
+    for actions, seen in flights(env, policy, steps=6):
+        wanted, state = model.predict(seen, state, deterministic=True)
+        np.testing.assert_allclose(actions, wanted, atol=1e-6)
+
+
+def test_a_longer_observation_is_no_stack(tmp_path):
+    wide = spaces.Box(-np.arange(1, 411, dtype=np.float32), np.full(410, 9.0, np.float32))
+    model = PPO("MlpPolicy", DummyVecEnv([lambda: Box(wide, spaces.Box(-1.0, 1.0, (4,)))]), device="cpu")
+    with pytest.raises(SettingError, match=r"must be \(205,\) .*, got \(410,\)"):
+        load_policy(saved(model, tmp_path / "mine.zip"), TASK)
+    few = make_vec_env(scenario(TASK, max_neighbors=5), n_worlds=2, seed=0)
+    stacked = trained(PPO, 0, env=VecFrameStack(few, 2), **ON)
+    with pytest.raises(SettingError, match=r"must be \(205,\) .*, got \(\d+,\)"):
+        load_policy(saved(stacked, tmp_path / "other.zip"), TASK)
 
 
 @pytest.mark.parametrize("trainer, kind", [(Team, "set"), (Team, "mlp"), (Mappo, "set")])
