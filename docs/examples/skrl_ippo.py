@@ -3,7 +3,7 @@
 skrl flies one world at a time here, and writes TensorBoard files and checkpoints only when told to.
 
     pip install torch==2.13.0 -e . -c constraints.txt && pip install skrl
-    python docs/examples/skrl_ippo.py --steps 20000
+    python docs/examples/skrl_ippo.py --steps 20000 --save model.pt
 """
 
 from __future__ import annotations
@@ -110,5 +110,8 @@ if __name__ == "__main__":
     parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--folder", help="folder for TensorBoard and checkpoints")
+    parser.add_argument("--save", help="file for the policy's network, such as model.pt")
     options = parser.parse_args()
-    train(options.steps, seed=options.seed, folder=options.folder)
+    trained = train(options.steps, seed=options.seed, folder=options.folder)
+    if options.save:
+        torch.save(trained.models["uav_0"]["policy"].net, options.save)  # all robots share it

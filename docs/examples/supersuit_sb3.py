@@ -4,7 +4,7 @@
 worlds in one call. SuperSuit steps them one by one and builds dicts in between.
 
     pip install -e ".[learn]" -c constraints.txt && pip install supersuit
-    python docs/examples/supersuit_sb3.py --robot-steps 100000
+    python docs/examples/supersuit_sb3.py --robot-steps 100000 --save model.zip
 """
 
 from __future__ import annotations
@@ -71,8 +71,11 @@ if __name__ == "__main__":
     parser.add_argument("--robot-steps", type=int, default=100_000)
     parser.add_argument("--worlds", type=int, default=8)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--save", help="file for the trained model, such as model.zip")
     options = parser.parse_args()
     trained = train(options.robot_steps, n_worlds=options.worlds, seed=options.seed)
+    if options.save:
+        trained.save(options.save)
     episodes = trained.ep_info_buffer or ()
     print(f"{trained.num_timesteps} robot steps; last {len(episodes)} episodes of robots:")
     print("mean return", sum(e["r"] for e in episodes) / max(len(episodes), 1))

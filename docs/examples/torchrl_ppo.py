@@ -5,7 +5,7 @@ TorchRL groups agents by the name before the number: "uav". The critic is for tr
 TorchRL 0.14 warns that it was tested with an older PettingZoo, and that a later version will add transforms by itself.
 
     pip install torch==2.13.0 torchrl -e . -c constraints.txt
-    python docs/examples/torchrl_ppo.py --iterations 50
+    python docs/examples/torchrl_ppo.py --iterations 50 --save model.pt
 """
 
 from __future__ import annotations
@@ -118,5 +118,8 @@ if __name__ == "__main__":
     parser.add_argument("--iterations", type=int, default=50)
     parser.add_argument("--worlds", type=int, default=4)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--save", help="file for the policy, such as model.pt")
     options = parser.parse_args()
-    train(options.iterations, n_worlds=options.worlds, seed=options.seed)
+    trained = train(options.iterations, n_worlds=options.worlds, seed=options.seed)
+    if options.save:
+        torch.save(trained, options.save)
