@@ -13,6 +13,7 @@ import numpy as np
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "docs" / "examples"
+RECIPES = sorted((ROOT / "docs" / "recipes").glob("*.md"))
 SHORT = {"warmup": 0.1, "max_cycles": 8}  # settings of a scenario: episodes of 8 steps, ended by time
 
 
