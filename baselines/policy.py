@@ -103,7 +103,7 @@ class Policy(Pilot):
     def reset(self, mask: npt.ArrayLike | None = None) -> None:
         """Forget what is remembered of the robots: of all, as an episode starts, or of those in `mask`.
 
-        mask: one bool a row of the stacks, or one a robot of the scenario where robots are called by name.
+        mask: one bool a row of the stacks, (R,), or one a robot of the scenario where robots are called by name.
         """
         if mask is None:
             self._robots, self._n_rows = {}, 0
@@ -143,7 +143,7 @@ class Policy(Pilot):
         return self._act(flat)
 
     def rows(self, flat: np.ndarray) -> Rows:
-        """Record views of flat observations: `own["vx"]`, `neighbors["f_ij"]`, ... (see fovconn_env.layout)."""
+        """Record views of flat observations (R, D): `own["vx"]`, `neighbors["f_ij"]`, ... (see fovconn_env.layout)."""
         chosen = self.scenario
         return rows(flat, chosen.max_neighbors, chosen.max_ranges, chosen.n_detections)
 

@@ -48,9 +48,13 @@ POLICIES: dict[str, type[Policy]] = {
     "oracle-all-seeing": AllSeeing,
     **{file.stem: from_file(file) for file in sorted(FOLDER.glob(f"*{SUFFIX}"))},  # read when first made
 }
+"""The policies that come with the package, by name: docs/policies.md."""
 
-# What flies by the truth, in `rollout` alone; no policy, so that what acts or learns by observations cannot take one.
 ORACLES: dict[str, type[TeamOracle]] = {"oracle-planner": Planner}
+"""What flies by the truth, in `rollout` alone, by name.
+
+No policies, so that what acts or learns by observations cannot take one.
+"""
 
 Named = str | os.PathLike[str] | type[Pilot] | Function
 

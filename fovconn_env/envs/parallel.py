@@ -143,7 +143,7 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
     def step(
         self, actions: Mapping[str, npt.ArrayLike]
     ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, float]]]:
-        """Apply one action an agent: observations, rewards, terminations, truncations and infos by agent.
+        """Apply one action (4,) an agent: observations, rewards, terminations, truncations and infos by agent.
 
         Raises `ValueError`, naming the agent, for a missing or unknown agent, a wrong shape or NaN; then nothing
         moves. Actions out of range are clipped. Raises `gymnasium.error.ResetNeeded` before reset and after the end;
@@ -184,7 +184,7 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
         return self.simulator.graph()
 
     def state(self) -> np.ndarray:
-        """The privileged vector for centralised critics, in the leader's yaw frame: layout.STATE and STATE_TEAM."""
+        """The privileged vector (S,) for centralised critics, leader's yaw frame: layout.STATE and STATE_TEAM."""
         return self.simulator.privileged()[0]
 
     def render(self) -> np.ndarray | None:
@@ -276,6 +276,7 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Observation, np.ndarray]):
 
 
 parallel_env = ParallelEnv
+"""The class, under the name that PettingZoo's environments give it."""
 
 
 def env(
@@ -286,7 +287,7 @@ def env(
     flat: bool = False,
     **settings: Unpack[Settings],
 ) -> pettingzoo.AECEnv[str, Any, np.ndarray | None]:
-    """`parallel_env` as a PettingZoo AEC environment, robots taking turns within a step."""
+    """`parallel_env` as a PettingZoo AEC environment, robots taking turns within a step with actions (4,)."""
     parallel: Any = ParallelEnv(base, render_mode=render_mode, flat=flat, **settings)
     return parallel_to_aec(parallel)
 
@@ -299,6 +300,6 @@ def raw_env(
     flat: bool = False,
     **settings: Unpack[Settings],
 ) -> pettingzoo.AECEnv[str, Any, np.ndarray | None]:
-    """`env` without the wrapper that enforces the order of calls."""
+    """`env`, with actions (4,), without the wrapper that enforces the order of calls."""
     parallel: Any = ParallelEnv(base, render_mode=render_mode, flat=flat, **settings)
     return parallel_to_aec_wrapper(parallel)

@@ -56,7 +56,7 @@ class Film(Observer):
         self._leaders: list[int] = []
 
     def before_step(self, actions: np.ndarray) -> None:
-        """Who leads in the step, and by what stick."""
+        """Who leads in the step that `actions` (B, N, 4) make, and by what stick."""
         episode = self.simulator.state.episode[self.world]
         self._lead = int(episode["leader"]), tuple(float(episode[name]) for name in ("stick_x", "stick_y", "stick_z"))
         self._going = not episode["over"]

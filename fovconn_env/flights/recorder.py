@@ -31,7 +31,7 @@ class Recorder(Observer):
             self._attach(simulator)
 
     def reset(self, seed: int, *, poses: npt.ArrayLike | None = None) -> np.ndarray:
-        """Start episodes and their recording; as `Simulator.reset`."""
+        """Start episodes and their recording, at poses (N, 4) or (B, N, 4) if given; as `Simulator.reset`."""
         given = None if poses is None else np.array(poses, np.float64)
         observations = self.simulator.reset(seed, poses=given)
         self.begin(self.simulator, given)
@@ -64,7 +64,7 @@ class Recorder(Observer):
         self._hashes = [(0, state_hash(simulator, self.world))]
 
     def before_step(self, actions: np.ndarray) -> None:
-        """Look at the stick; it is kept once the step is made."""
+        """Look at the stick; it is kept once the step by `actions` (B, N, 4) is made."""
         episode = self.simulator.state.episode[self.world]
         self._stick = tuple(float(episode[name]) for name in ("stick_x", "stick_y", "stick_z"))
         self._action, self._going = actions, not episode["over"]

@@ -87,7 +87,7 @@ class Map:
     def inspect_file(
         cls, path: str | Path, *, scale: float = 1.0, strokes: bool = False, origin: npt.ArrayLike = (0.0, 0.0)
     ) -> MapReport:
-        """What `from_file` understands of a file, and what it leaves out or refuses; arguments as there.
+        """What `from_file` understands of a file, and what it leaves out or refuses; arguments as there, origin (2,).
 
         Raises `SettingError` for a file that is refused as a whole, and OSError.
         """

@@ -24,7 +24,7 @@ class Recorded:
     and infinity; that no stick is faster than `Scenario.stick_speed` is the scenario's to check.
     """
 
-    sticks: np.ndarray
+    sticks: np.ndarray  # (T, 3) m/s
 
     def __post_init__(self) -> None:
         sticks = as_numbers("Recorded.sticks", self.sticks)

@@ -99,6 +99,7 @@ PRESETS: dict[str, Scenario] = {
         ),
     )
 }
+"""The scenarios of level 1, by id: docs/scenarios.md."""
 
 
 SUMMARIES = {
@@ -117,8 +118,6 @@ SUMMARIES = {
     "RealCamera-v0": "cameras with frames, latency, misses, false detections, and names that have to be read",
 }  # what happens in each, in a line
 
-# What the levels from 2 on change in a preset, which is level 1. Their order is that of the setting that grows; what
-# they are worth is measured: docs/scenarios.md.
 LEVELS: dict[str, tuple[dict[str, Any], ...]] = {
     "Corridor-v0": ({"map": Corridor(width=(3.5, 4.0))}, {"map": Corridor(width=(2.5, 3.0))}),
     "LeaderAggressive-v0": ({"stick_speed": 2.5}, {"stick_speed": 3.5}, {"stick_speed": 3.5, "speed_limit": 3.5}),
@@ -157,9 +156,14 @@ LEVELS: dict[str, tuple[dict[str, Any], ...]] = {
         },
     ),
 }
+"""What the levels from 2 on change in a preset, which is level 1, by the preset's id.
+
+Their order is that of the setting that grows; what they are worth is measured: docs/scenarios.md.
+"""
 
 
-HARD: dict[str, Scenario] = {}  # the tasks of `hard.TASKS`, made below
+HARD: dict[str, Scenario] = {}
+"""The tasks of the hard suite, by id: docs/scenarios.md. They are made of `hard.TASKS`, below."""
 
 
 def scenario(

@@ -10,7 +10,9 @@ from fovconn_env import layout
 from fovconn_env.kernel.records import State
 
 NODE_COLUMNS = tuple(column.name for column in layout.SELF)
+"""Names of the columns of `Graph.nodes`."""
 EDGE_COLUMNS = tuple(column.name for column in layout.NEIGHBOR if column.name != "present")
+"""Names of the columns of `Graph.edges`."""
 
 
 class Graph(NamedTuple):

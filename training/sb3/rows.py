@@ -271,9 +271,10 @@ def make_vec_env(
 ) -> VecEnv:
     """An SB3 `VecEnv` of `n_worlds` x N rows, seeded, within a `VecMonitor` unless told otherwise.
 
-    Takes a scenario, its id or a `Scenario`, or a list of them, among which the worlds are shared out, and settings to
-    change. state adds the privileged state for a critic: see `AsymmetricPolicy`. weights, one a scenario of the list:
-    worlds draw the scenario that they fly next, see `RobotsVecEnv`. reward_terms: infos have them in every step.
+    Observations are (B N, D), a row a robot. Takes a scenario, its id or a `Scenario`, or a list of them, among which
+    the worlds are shared out, and settings to change. state adds the privileged state for a critic: see
+    `AsymmetricPolicy`. weights, one a scenario of the list: worlds draw the scenario that they fly next, see
+    `RobotsVecEnv`. reward_terms: infos have them in every step.
     """
     own = ("n_worlds", "seed", "state", "weights", "reward_terms", "monitor", "render_mode", "n_threads")
     check_keywords("make_vec_env", settings, own)
