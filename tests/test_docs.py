@@ -137,6 +137,26 @@ def test_pictures_are_shown_and_have_palettes():
             assert picture.mode == "P", f"{path.name}: run python docs/shrink.py"
 
 
+def test_the_picture_of_the_readme_moves_and_is_small():
+    first = ROOT / re.findall(r"^!\[.*\]\((.*)\)$", README, re.MULTILINE)[0]
+    assert first.stat().st_size < 1_000_000
+    with Image.open(first) as picture:
+        assert picture.n_frames > 50
+
+
+def test_lines_that_a_newcomer_needs_are_counted():
+    """Of the first block of code in the section that a row links to."""
+    rows = table_rows(PAGES["docs/find.md"].read_text("utf-8"))[1:]
+    assert len(rows) >= 8
+    for wish, page, lines in rows:
+        name, _, anchor = re.findall(r"\]\((.*)\)", page)[0].partition("#")
+        parts = re.split(r"^(?=#+ )", (ROOT / "docs" / name).read_text("utf-8"), flags=re.MULTILINE)
+        [section] = [part for part in parts if anchors(part) == {anchor}] if anchor else ["".join(parts)]
+        code = re.search(r"^```\w*\n(.*?)^```$", section, re.DOTALL | re.MULTILINE)
+        assert code is not None, wish
+        assert int(lines) == len([line for line in code[1].splitlines() if line.strip()]), wish
+
+
 def test_the_notebook_is_kept_without_outputs():
     cells = json.loads((ROOT / "docs" / "quickstart.ipynb").read_text("utf-8"))["cells"]
     assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells)
