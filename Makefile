@@ -20,7 +20,7 @@ PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo results docs test suite suite-nojit test-fast test-integrations test-pythons fuzz lint format dist clean
+.PHONY: help demo results docs site test suite suite-nojit test-fast test-integrations test-pythons fuzz lint format dist clean
 ifndef BESIDE
 .NOTPARALLEL:
 endif
@@ -73,6 +73,10 @@ results: $(VENV)/installed-demo  ## fly all that docs/results shows (two hours),
 docs: $(VENV)/installed-demo  ## write the tables of README.md and docs anew, from docs/results and the code
 	$(BIN)/python docs/tables.py
 
+site: $(LIBRARIES)/site/installed  ## build the documentation site, out/site/index.html, and check it
+	$(LIBRARIES)/site/bin/python -m mkdocs build
+	$(LIBRARIES)/site/bin/python -m pytest tests/site $(ARGS)
+
 lint: $(VENV)/installed-dev  ## ruff (rules and format), the direction of imports, and pyright
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -115,6 +119,14 @@ $(LIBRARIES)/twine/installed: constraints.txt
 	@rm -rf $(@D)
 	@$(PYTHON) -m venv $(@D)
 	@$(@D)/bin/python -m pip install -qq --disable-pip-version-check --no-compile -c constraints.txt twine
+	@touch $@
+
+$(LIBRARIES)/site/installed: pyproject.toml constraints.txt
+	@echo "installing the package with [site] in $(@D) (about 20 s) ..."
+	@rm -rf $(@D)
+	@$(PYTHON) -m venv $(@D)
+	@$(@D)/bin/python $(INSTALL) -c constraints.txt hatchling editables
+	@$(@D)/bin/python $(INSTALL) -c constraints.txt -e '.[site]'
 	@touch $@
 
 # One virtual environment for each list of versions in tests/integrations/; made anew when that list changed.

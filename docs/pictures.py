@@ -55,7 +55,12 @@ def _quarter(points: np.ndarray) -> np.ndarray:
     return points[:, ::-1] * [1.0, -1.0]
 
 
+def starts() -> dict[str, tuple[Scenario, int]]:
+    """The scenario and the seed of each picture, by the scenario's id."""
+    return {name: (scenario(name, level=LEVEL.get(name, 1)), seed) for seed, name in enumerate(PRESETS, start=1)}
+
+
 if __name__ == "__main__":
     FOLDER.mkdir(exist_ok=True)
-    for seed, name in enumerate(PRESETS, start=1):
-        print(style.save(draw(scenario(name, level=LEVEL.get(name, 1)), seed), FOLDER / f"{name}.png"))
+    for name, (chosen, seed) in starts().items():
+        print(style.save(draw(chosen, seed), FOLDER / f"{name}.png"))

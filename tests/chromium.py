@@ -16,6 +16,8 @@ _FLAGS = (
 ).split()
 _KEYS = {" ": ("Space", 32), "ArrowLeft": ("ArrowLeft", 37), "ArrowRight": ("ArrowRight", 39), "End": ("End", 35)}
 
+_READY = "document.documentElement?.dataset.ready || document.getElementById('problem')?.hidden === false"
+
 
 class Browser:
     """Opens one page after another; `problems` are the errors and warnings that the last one told its console."""
@@ -81,8 +83,8 @@ class Browser:
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def open(self, path, anchor="", size=(1280, 720), mobile=False, theme="light"):
-        """Open a file and wait until it is ready."""
+    def open(self, path, anchor="", size=(1280, 720), mobile=False, theme="light", ready=_READY):
+        """Open a file and wait until it is ready, by default until a flight's page says so."""
         self.problems, self.requests = [], []
         scale = 2 if mobile else 1
         width, height = size
@@ -92,7 +94,7 @@ class Browser:
         self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": theme}])
         self.call("Page.navigate", url="about:blank")
         self.call("Page.navigate", url=f"file://{path}{anchor}")
-        self.wait("document.documentElement?.dataset.ready || document.getElementById('problem')?.hidden === false")
+        self.wait(ready)
 
     def wait(self, condition, seconds=600.0):
         """Until a JavaScript condition holds."""

@@ -1,0 +1,18 @@
+"""What the reference shows of a field: the comment on its line, as this package writes shapes, units and frames."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from griffe import Attribute, Docstring, Extension
+
+
+class Comments(Extension):
+    """An attribute without a docstring has the comment at the end of its first line as one."""
+
+    def on_attribute_instance(self, *, attr: Attribute, **_: Any) -> None:
+        """Called for each attribute that griffe finds in a file."""
+        if attr.docstring is None and attr.lineno is not None:
+            _, mark, comment = attr.lines_collection[attr.filepath][attr.lineno - 1].partition("  # ")
+            if mark:
+                attr.docstring = Docstring(comment, parent=attr)
