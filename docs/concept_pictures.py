@@ -23,7 +23,7 @@ from fovconn_env.render.figures import style
 from fovconn_env.render.figures.scene import Scene, arrow_shape, body_shapes, cone_shapes
 
 FOLDER = Path(__file__).parent / "images" / "concepts"
-SCALE = 20.0  # points a metre
+SCALE, SMALL = 20.0, 12.0  # points a metre
 ALONE = scenario("LeaderFollow-v0", leader="none")
 CAMERA, AXIS = ALONE.camera, np.array([ALONE.camera.unit_axis])
 ASIDE = np.arctan2(AXIS[0, 1], AXIS[0, 0])  # rad, from the nose to the optical axis
@@ -34,13 +34,14 @@ def looking(*robots: tuple[float, float, float]) -> np.ndarray:
     return np.array([(x, y, 0.0, np.radians(angle) - ASIDE) for x, y, angle in robots])
 
 
-def strip(boxes: Sequence[tuple[float, float, float, float]], head: float = 0.9) -> tuple[Figure, list[Axes]]:
-    """Views from above side by side, each of a box (left, bottom, right, top), m, with `head` m for its title.
+def strip(boxes: Sequence[tuple[float, float, float, float]], scale: float = SCALE) -> tuple[Figure, list[Axes]]:
+    """Views from above side by side, each of a box (left, bottom, right, top), m, with room for its title.
 
-    All are as high as the highest box, about their own middles.
+    All are as high as the highest box, about their own middles. scale: points a metre.
     """
+    head = 18.0 / scale  # m
     widths, height = [right - left for left, _, right, _ in boxes], max(top - low for _, low, _, top in boxes)
-    figure = style.sheet(SCALE * sum(widths) / 72, SCALE * (height + head) / 72, layout=None)
+    figure = style.sheet(scale * sum(widths) / 72, scale * (height + head) / 72, layout=None)
     figure.set_dpi(110)
     panels = []
     for k, (left, low, right, top) in enumerate(boxes):
@@ -53,16 +54,15 @@ def strip(boxes: Sequence[tuple[float, float, float, float]], head: float = 0.9)
     return figure, panels
 
 
-def show(axes: Axes, poses: np.ndarray, title: str) -> float:
-    """Robots at poses (N, 4), their cameras and links; "{}" in the title is lambda2, which is returned."""
+def show(axes: Axes, poses: np.ndarray, title: str, scale: float = SCALE) -> None:
+    """Robots at poses (N, 4), their cameras and links; "{}" in the title is lambda2."""
     chosen = scenario(ALONE, n_agents=len(poses))
     simulator = Simulator(chosen)
     simulator.reset(0, poses=poses)
     pair, lambda2 = simulator.state.pair[0], float(simulator.state.episode["lambda2"][0])
-    scene = Scene(axes, chosen, SCALE)
+    scene = Scene(axes, chosen, scale)
     scene.show(poses, np.zeros((len(poses), 2)), np.zeros(3), pair["weight"], pair["f_star"])
     axes.set_title(title.format(f"{lambda2:.2f}"), loc="center")
-    return lambda2
 
 
 def rise(x: np.ndarray, low: float, high: float) -> np.ndarray:
@@ -81,7 +81,7 @@ def sight() -> Figure:
 
 def weight() -> Figure:
     """The weight of a link to a robot that does not look back, by its place."""
-    figure, [axes] = strip([(-2.5, -8.5, 10.5, 8.5)], head=0.2)
+    figure, [axes] = strip([(-2.5, -8.5, 10.5, 8.5)])
     x, y = np.meshgrid(np.linspace(-2.5, 10.5, 261), np.linspace(-8.5, 8.5, 341))
     distance = np.maximum(np.hypot(x, y), 1e-9)
     near, far = rise(distance, CAMERA.d_min, CAMERA.D1), rise(distance, CAMERA.D2, CAMERA.d_max)
@@ -100,12 +100,12 @@ def weight() -> Figure:
 def lambda2() -> Figure:
     """One team of five, after two cameras turned, and after one robot left."""
     whole = [(0, 0, 20), (3.5, 2.2, 200), (4.2, -2.2, 130), (7.8, 0.6, 185), (10.5, -2.6, 150)]
-    figure, panels = strip([(-1.5, -5.0, 13.5, 5.0)] * 3)
-    show(panels[0], looking(*whole), "λ₂ = {}")
+    figure, panels = strip([(-1.5, -5.0, 13.5, 5.0)] * 3, SMALL)
+    show(panels[0], looking(*whole), "λ₂ = {}", SMALL)
     turned = [*whole[:3], (7.8, 0.6, 60), (10.5, -2.6, 90)]
-    show(panels[1], looking(*turned), "two cameras turned: λ₂ = {}")
+    show(panels[1], looking(*turned), "two cameras turned: λ₂ = {}", SMALL)
     gone = [*whole[:4], (12.6, -4.2, 330)]
-    show(panels[2], looking(*gone), "one robot left: λ₂ = {}, split")
+    show(panels[2], looking(*gone), "one robot left: λ₂ = {}, split", SMALL)
     return figure
 
 

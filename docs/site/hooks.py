@@ -111,7 +111,9 @@ def _relative(link: str, file: Path, folder: str) -> str:
 
 def _matching(entry: Any, files: Files) -> list[Any]:
     """The pages that an entry of the navigation stands for: those that fit its pattern, or itself."""
-    return sorted(fnmatch.filter(files.src_uris, entry)) if isinstance(entry, str) and "*" in entry else [entry]
+    if not isinstance(entry, str) or "*" not in entry:
+        return [entry]
+    return sorted(fnmatch.filter(files.src_uris, entry), key=lambda page: page.removesuffix(".md"))
 
 
 # ------------------------------------------------------------------------------------------------- pages of the rest
@@ -170,7 +172,11 @@ def reference(module: str) -> str:
     settings = (DOCS / "settings.md").read_text("utf-8")
     tables = dict(re.findall(r"<!-- settings:(\w+) -->\n(.*?)<!-- end -->", settings, re.DOTALL))
     names = [path for path, where in public().items() if where == module]
-    return f"# {module}\n\n" + "\n".join(f"::: {path}\n\n{tables.get(path.rpartition('.')[2], '')}" for path in names)
+    text = "\n".join(f"::: {path}\n\n{tables.get(path.rpartition('.')[2], '')}" for path in names)
+    here = {path.rpartition(".")[2] for path in names}
+    others = [f"`{name}`" for name in PUBLIC[module] or importlib.import_module(module).__all__ if name not in here]
+    more = f"It also has {', '.join(others)}, see [fovconn_env](fovconn_env.md).\n\n" if others and names else ""
+    return f"# {module}\n\n{more}{text}"
 
 
 # ----------------------------------------------------------------------------------------------------------- flights

@@ -171,9 +171,8 @@ def test_pages_fit(browser, width):
 
 def test_search_works_from_the_disk(browser):
     browser.open(SITE / "index.html", ready="document.readyState === 'complete'")
-    browser.evaluate(
-        "(field => { field.focus(); field.value = 'patience'; field.dispatchEvent(new Event('keyup')) })"
-        "(document.querySelector('[data-md-component=search-query]'))"
-    )
+    browser.click("[data-md-component=search-query]")
+    browser.call("Input.insertText", text="patience")
+    browser.evaluate("document.activeElement.dispatchEvent(new Event('keyup'))")
     browser.wait("document.querySelector('.md-search-result__link')", seconds=60.0)
     assert ".html" in browser.evaluate("document.querySelector('.md-search-result__link').href")
