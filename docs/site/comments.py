@@ -1,10 +1,10 @@
-"""What the reference shows of a field: the comment on its line, as this package writes shapes, units and frames."""
+"""What the reference shows of a field: the comment on its line, where this package writes shapes, units and frames."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from griffe import Attribute, Docstring, Extension
+from griffe import Attribute, Docstring, ExprCall, Extension
 
 
 class Comments(Extension):
@@ -16,3 +16,6 @@ class Comments(Extension):
             _, mark, comment = attr.lines_collection[attr.filepath][attr.lineno - 1].partition("  # ")
             if mark:
                 attr.docstring = Docstring(comment, parent=attr)
+        call = attr.value
+        if isinstance(call, ExprCall) and call.function.canonical_path.startswith("fovconn_env.bounds."):
+            attr.value = call.arguments[0]  # of a setting, whose bounds stand in a table, its default
