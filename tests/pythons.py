@@ -5,6 +5,7 @@ and the versions of constraints.txt, as wheels alone, and runs smoke.py. Prints 
 fly.
 """
 
+import os
 import shutil
 import subprocess
 import sys
@@ -16,7 +17,8 @@ VERSIONS = [f"python3.{minor}" for minor in range(11, 15)]
 
 
 def run(*command, cwd=ROOT):
-    return subprocess.run([*map(str, command)], cwd=cwd, capture_output=True, text=True)
+    clean = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}  # no path to the clone
+    return subprocess.run([*map(str, command)], cwd=cwd, env=clean, capture_output=True, text=True)
 
 
 def build(folder):
@@ -35,11 +37,12 @@ def try_out(python, wheel, folder):
     done = run(python, "-m", "venv", folder)
     own = folder / "bin" / "python"
     if done.returncode == 0:
-        pip = ("install", "-q", "--disable-pip-version-check", "--only-binary", ":all:", "-c", "constraints.txt")
-        done = run(own, "-m", "pip", *pip, f"{wheel}[cli]")
+        pip = "-q --disable-pip-version-check --no-compile --only-binary :all: -c constraints.txt".split()
+        done = run(own, "-m", "pip", "install", *pip, f"{wheel}[cli]")
     if done.returncode:
         return f"not installed: {(done.stderr or done.stdout).strip().splitlines()[-1]}", False
     done = run(own, "-P", ROOT / "tests" / "smoke.py", cwd=folder)
+    print(done.stderr, end="", file=sys.stderr)
     said = (done.stdout if done.returncode == 0 else done.stderr).strip().splitlines()[-1]
     return f"{run(own, '-V').stdout.strip()}, {time.monotonic() - began:.0f} s: {said}", done.returncode == 0
 
