@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import platform
 import sys
@@ -70,6 +71,7 @@ def set_volume(volume: Literal["quiet", "normal", "verbose"]) -> None:
     global _volume
     rule({volume, _volume} != {"quiet", "verbose"}, "-q and -v", "given one of the two", "both", "less, or more?")
     before, _volume, err.quiet = _volume, volume, volume == "quiet"
+    logging.getLogger("fovconn_env").setLevel(logging.ERROR if volume == "quiet" else logging.NOTSET)
     if volume == "verbose" and before != volume:
         kernels = next(iter(cache_folders()), "no folder")
         libraries = f"numpy {np.__version__}, numba {numba.__version__}"
