@@ -182,10 +182,10 @@ def quickstart_table(name: str) -> str:
     trained = json.loads((ROOT / "docs" / "quickstart.json").read_text("utf-8"))["trained"]
     if name == "line":
         seeds = _listed([str(each["seed"]) for each in trained])
-        shares = _listed([f"{each['16']['success']:.0%}" for each in trained])
+        shares = _listed([f"{each['64']['success']:.0%}" for each in trained])
         return f"Trained from the seeds {seeds} it had success in {shares} of the flights that `show` flies."
-    rows = [[str(each["seed"]), *(_percents(each[flights]) for flights in ("16", "320"))] for each in trained]
-    return markdown((["seed", "kept, success, progress in 16 flights", "in 320 flights"], rows))
+    rows = [[str(each["seed"]), *(_percents(each[flights]) for flights in ("64", "320"))] for each in trained]
+    return markdown((["seed", "kept, success, progress in 64 flights", "in 320 flights"], rows))
 
 
 def fidelity_table(name: str) -> str:

@@ -180,7 +180,7 @@ def test_numbers_in_the_notebooks_text_come_from_its_record():
     book = (ROOT / "docs" / "quickstart.ipynb").read_text("utf-8")
     cells = json.loads(book)["cells"]
     text = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
-    shares = [f"{each['16']['success']:.0%}" for each in record["trained"]]
+    shares = [f"{each['64']['success']:.0%}" for each in record["trained"]]
     assert len({each["seed"] for each in record["trained"]}) >= 3
     assert re.findall(r"[\d.]+ ?%", text) == shares
     assert f"STEPS = {record['made']['steps']:_}" in book

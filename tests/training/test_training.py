@@ -803,10 +803,10 @@ def test_the_quickstart_runs(tmp_path, monkeypatch):
         monkeypatch.setitem(PRESETS, name, dataclasses.replace(preset, max_cycles=20, warmup=0.1))
     cells = json.loads((ROOT / "docs" / "quickstart.ipynb").read_text("utf-8"))["cells"]
     sources = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
-    assert sum("STEPS = 4_000_000" in source for source in sources) == 1
+    assert sum("STEPS = 2_000_000" in source for source in sources) == 1
     namespace = {}
     for k, source in enumerate(sources):
-        short = source.replace("STEPS = 4_000_000", "STEPS = 80_000").replace("range(400)", "range(15)")
+        short = source.replace("STEPS = 2_000_000", "STEPS = 80_000").replace("range(400)", "range(15)")
         exec(compile(short, f"cell {k}", "exec"), namespace)
     assert namespace["best"]["steps"] >= 70_000
     assert namespace["model"].num_timesteps > 0
