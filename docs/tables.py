@@ -10,6 +10,7 @@ In README.md and docs/*.md a table stands between `<!-- KIND:NAME -->` and `<!--
   `machine` of docs/speed.json, with `--baseline`
 - `quickstart`: `spread`, a table, or `line`, a sentence in docs/quickstart.ipynb, of docs/quickstart.json, which
   docs/quickstart_spread.py writes
+- `learning`: `end`, a table of docs/results/curves/libraries.json, or `made`, a line; docs/learning_curves.py writes it
 - `fidelity`: `flights` or `causes` of docs/fidelity.json, which docs/fidelity.py writes
 - `tasks`: the tasks of a suite, `tasks:hard-v1`
 - `layout`: a table of `fovconn_env.layout`, or `scales`, what the named bounds are
@@ -27,6 +28,7 @@ import math
 import re
 import sys
 from pathlib import Path
+from statistics import mean
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # runs from a clone without an install, too
 
@@ -46,7 +48,7 @@ from fovconn_env.training.play import gamepad, keyboard
 
 ROOT = Path(__file__).parents[1]
 RESULTS, NOTEBOOK = ROOT / "docs" / "results", ROOT / "docs" / "quickstart.ipynb"
-PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs" / "recipes").glob("*.md")))
 # What the named bounds of the layout are, as expressions in the settings of a Scenario.
 SCALES = {
     "speed": "2 * speed_limit",
@@ -104,6 +106,7 @@ def rendered(text: str) -> str:
     """A page with its generated tables made anew."""
     kinds = {"layout": layout_table, "settings": settings_table, "keys": keys_table, "fidelity": fidelity_table}
     kinds |= {"quickstart": quickstart_table, "results": results_table, "five": five_table, "tasks": tasks_table}
+    kinds["learning"] = learning_table
     for kind, file in (("bench", "benchmark.json"), ("speed", "speed.json")):
         kinds[kind] = functools.partial(bench_table, file)
     return _MARKED.sub(lambda place: f"{place[1]}\n{kinds[place[2]](place[3])}\n\n{place[4]}", text)
@@ -186,6 +189,31 @@ def quickstart_table(name: str) -> str:
         return f"Trained from the seeds {seeds} it had success in {shares} of the flights that `show` flies."
     rows = [[str(each["seed"]), *(_percents(each[flights]) for flights in ("64", "320"))] for each in trained]
     return markdown((["seed", "kept, success, progress in 64 flights", "in 320 flights"], rows))
+
+
+def learning_table(name: str) -> str:
+    """What other libraries reach with equal steps: "end", a Markdown table, or "made", a line."""
+    files = (RESULTS / "curves" / f"{file}.json" for file in ("libraries", "libraries_made"))
+    curves, made = (json.loads(file.read_text("utf-8")) for file in files)
+    (methods,) = curves["fovconn"].values()
+    if name == "made":
+        runs = [run for seeds in methods.values() for run in seeds.values()]
+        steps = max(part.get("step_count", 0) for run in runs for part in run.values())
+        changes = [f"`{key}={value}`" for key, value in made["task"].items() if key != "scenario"]
+        versions = ", ".join(f"{library} {number}" for library, number in made["versions"].items())
+        about = f"{steps:,} robot steps, one thread each, {made['finished']}; {versions}; {made['machine']['cpu']}"
+        return f"`{made['task']['scenario']}` with {', '.join(changes)}; {about}."
+    head = ["algorithm", "library", "return", "never disconnected", "success", "processor minutes"]
+    forms = {"return": ".1f", "never_disconnected": ".0%", "success": ".0%"}
+    rows = []
+    for method, seeds in methods.items():
+        last = [run["absolute_metrics"] for run in seeds.values()]
+        ends = [", ".join(f"{mean(flown[key]):{form}}" for flown in last) for key, form in forms.items()]
+        minutes = [f"{made['minutes'][method][seed]:.2f}" for seed in seeds]
+        rows.append([method, made["libraries"][method], *ends, ", ".join(minutes)])
+    for law, flown in made["laws"].items():
+        rows.append([f"`{law}`", "a law", *(f"{mean(flown[key]):{form}}" for key, form in forms.items()), ""])
+    return markdown((head, rows))
 
 
 def fidelity_table(name: str) -> str:

@@ -29,10 +29,10 @@ def make_experiment(
     n_worlds: int = 4,
     n_steps: int = 250,
     seed: int = 0,
-    evaluation: bool = True,
+    logs: bool = True,
     **settings: Any,
 ) -> Experiment:
-    """An algorithm on a task, ready for `run()`; logs go to `folder`, settings to the scenario."""
+    """An algorithm on a task, ready for `run()`; logs, if any, go to `folder`, settings to the scenario."""
     Path(folder).mkdir(parents=True, exist_ok=True)  # BenchMARL wants it to be there
     config = ExperimentConfig.get_from_yaml()
     config.max_n_iters, config.max_n_frames = n_iterations, None
@@ -41,10 +41,10 @@ def make_experiment(
     config.on_policy_minibatch_size = n_worlds * n_steps // 4
     config.on_policy_n_minibatch_iters = 5
     config.gamma, config.lr = 0.995, 3e-4
-    config.evaluation, config.evaluation_interval = evaluation, 10 * config.on_policy_collected_frames_per_batch
+    config.evaluation, config.evaluation_interval = logs, 10 * config.on_policy_collected_frames_per_batch
     config.evaluation_episodes = 2
     config.render = False
-    config.loggers = ["csv"]  # the default asks for wandb
+    config.loggers = ["csv"] if logs else []  # the default asks for wandb
     config.save_folder = folder
     net = MlpConfig.get_from_yaml()
     net.num_cells = [64, 64]
