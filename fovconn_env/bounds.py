@@ -7,6 +7,7 @@ import functools
 import inspect
 import math
 import numbers
+import re
 import sys
 import typing
 from collections.abc import Callable
@@ -200,7 +201,8 @@ def listed(kind: type) -> list[str]:
         bounds, words = field.metadata.get("bounds"), " or ".join(words_of(kind, field))
         meaning, group = field.metadata.get("meaning"), field.default_factory
         if isinstance(group, type):
-            meaning = f"{(group.__doc__ or '').partition('.')[0]}, see help({group.__name__})"
+            first = re.split(r"\.\s|\.$", group.__doc__ or "", maxsplit=1)[0]
+            meaning = f"{first}, see help({group.__name__})"
         parts = [default_of(field), words, meaning, str(bounds) if bounds else ""]
         lines.append(f"{field.name}: {'; '.join(part for part in parts if part)}")
     return lines

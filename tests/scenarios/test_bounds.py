@@ -151,7 +151,7 @@ def test_help_lists_every_setting(kind):
         assert "speed_limit: 1.5; m/s, Euclidean norm; 0.001 to 100" in text
         assert 'dynamics: "kinematic"; "kinematic" or "quadrotor"; how robots fly' in text
         assert "camera: Camera(); Camera and link weights (6)-(11): who is seen" in text
-        assert "see help(Camera)" in text
+        assert "docs/decisions.md), see help(Airframe)" in text
 
 
 # ------------------------------------------------------------------------------------------------------ together
