@@ -32,7 +32,7 @@ def build(folder):
 def try_out(python, wheel, folder):
     """What came of it with one interpreter, in words, and whether it flew."""
     began = time.monotonic()
-    if not shutil.which(python):
+    if not shutil.which(python) or run(python, "-V").returncode:  # a shim may stand for what is not there
         return "not found", None
     done = run(python, "-m", "venv", folder)
     own = folder / "bin" / "python"
