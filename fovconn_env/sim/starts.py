@@ -22,10 +22,11 @@ from fovconn_env.scenarios.scenario import Scenario
 from fovconn_env.scenarios.settings import FAULTS
 from fovconn_env.sim.memory import NO_ACTIONS, allocate, clear, frames_of, place, scratch
 
-MAX_TRIES = 2000  # starts drawn before giving up
+MAX_TRIES = 2000  # draws of a team's poses, or of a course, in a row
+MAX_TEAMS = 20  # such rows of poses before giving up: of cameras of 20 degrees one draw in 284 connects the team
 FEW_TRIES = 20  # starts drawn before asking whether the map leaves room at all
 LARGE = 16  # robots above which a draw that is too dense is refused before it is tested in a world
-MAX_MAPS = 20  # random maps drawn before giving up
+MAX_MAPS = 400  # random maps drawn before giving up
 ROUNDING = 1e-9  # a split team's lambda2 is 0, computed as something up to 1e-14
 ROOM_QUERIES = 200_000  # distances between cells of the start box and pieces that `check_room` asks for
 MARGIN = 3.0  # m, obstacles reach this far beyond starts and way points
@@ -68,48 +69,49 @@ class StartSampler:
 
     def _draw(self, rng: np.random.Generator, poses: np.ndarray | None) -> EpisodeStart:
         """A start by the settings alone."""
-        random_map = isinstance(self.scenario.map, (Forest, Corridor))
-        for _ in range(MAX_MAPS if random_map else 1):
-            start = self._draw_once(rng, poses)
+        scenario, s, failed = self.scenario, self.scenario.start, 0
+        given = scenario.map if isinstance(scenario.map, Map) else None
+        for _ in range(MAX_MAPS):
+            placed = check_poses(poses, scenario) if poses is not None else self._draw_poses(rng, given)
+            start = None if placed is None else self._surround(rng, placed, poses is not None)
             if start is not None:
                 return start
-        s = self.scenario.start
+            failed += placed is None
+            if failed == MAX_TEAMS:
+                break
         if poses is not None:
             raise SettingError(
                 f"Course must leave {s.clearance:g} m for a wall between poses and second way point, found no room in "
                 f"{MAX_MAPS} draws: lengthen Course.leg, lower Start.clearance, or give poses closer together"
             )
+        draws = f"{MAX_TEAMS * MAX_TRIES} draws of {scenario.n_agents} robots"
         raise SettingError(
             f"Start must allow lambda2 in ({s.lambda2_low:g}, {s.lambda2_high:g}), spacing {s.spacing:g} m and "
-            f"clearance {s.clearance:g} m, found no start in {MAX_TRIES} draws of {self.scenario.n_agents} robots: "
+            f"clearance {s.clearance:g} m, found no start in {draws}: "
             "enlarge Start.box, lower spacing or clearance, widen the lambda2 interval, or use a map with more room"
         )
 
-    def _draw_once(self, rng: np.random.Generator, poses: np.ndarray | None) -> EpisodeStart | None:
-        scenario = self.scenario
-        if not isinstance(scenario.map, Map):
-            placed = check_poses(poses, scenario) if poses is not None else self._draw_poses(rng, None)
-            if placed is None:
-                return None
+    def _surround(self, rng: np.random.Generator, placed: np.ndarray, given: bool) -> EpisodeStart | None:
+        """Draw course and map for a team; None where they do not fit. given: the poses are, and must stand clear."""
+        scenario, fixed = self.scenario, self.scenario.map
+        if not isinstance(fixed, Map):
             check_clearance(placed, None, scenario)
             waypoints = self._draw_course(rng, placed)
-            if scenario.map is None:
+            if fixed is None:
                 return self._make_start(placed, waypoints, None)
-            obstacles = self._generate_map(scenario.map, rng, placed, waypoints)
-            if obstacles is not None and poses is not None:
+            obstacles = self._generate_map(fixed, rng, placed, waypoints)
+            if obstacles is None:
+                return None
+            if given:
                 check_clearance(placed, obstacles, scenario)
-            if obstacles is None or (poses is None and not self._is_valid(placed, obstacles)):
+            elif not self._is_valid(placed, obstacles):
                 return None
             return self._make_start(placed, waypoints, obstacles)
-        obstacles = scenario.map
-        placed = check_poses(poses, scenario) if poses is not None else self._draw_poses(rng, obstacles)
-        if placed is None:
-            return None
-        check_clearance(placed, obstacles, scenario)
+        check_clearance(placed, fixed, scenario)
         for _ in range(MAX_TRIES):
             waypoints = self._draw_course(rng, placed)
-            if len(waypoints) == 0 or obstacles.clearance(waypoints).min() >= scenario.start.clearance:
-                return self._make_start(placed, waypoints, obstacles)
+            if len(waypoints) == 0 or fixed.clearance(waypoints).min() >= scenario.start.clearance:
+                return self._make_start(placed, waypoints, fixed)
         raise SettingError(
             f"Course must keep its way points {scenario.start.clearance:g} m from the map's obstacles, found none in "
             f"{MAX_TRIES} draws: shorten Course.leg or use a map with more room"
@@ -301,7 +303,7 @@ def check_room(sides: np.ndarray, middle: float, obstacles: Map, scenario: Scena
     distance, nearest = obstacles.nearest(cells)
     covered = distance + np.linalg.norm(sides / counts) / 2 < clearance
     free = 1.0 - covered.mean()
-    if MAX_TRIES * free**n > 1e-9:
+    if MAX_TEAMS * MAX_TRIES * free**n > 1e-9:
         return
     numbers, cells_of = np.unique(nearest[covered], return_counts=True)
     names = numbers[np.argsort(-cells_of, kind="stable")].tolist()
