@@ -50,11 +50,12 @@ class PPOSettings:
     """Hyper-parameters; why these: docs/training.md."""
 
     n_worlds: int = positive(64, "flown at once")
-    n_steps: int = positive(128, "flown in an iteration, in each world")
+    n_steps: int = positive(128, "actions of an iteration, in each world")
+    repeat: int = positive(1, "steps that an action is flown: longer looks farther, and explores more")
     n_epochs: int = positive(2, "passes over what was flown")
     batch: int = positive(2048, "samples of a gradient step")
     learning_rate: float = positive(2e-3, "at the start; falls to 0 linearly")
-    gamma: float = fraction(0.99, "discount of a step; a step is 0.05 s: looks 5 s ahead")
+    gamma: float = fraction(0.99, "discount of an action; one of a step of 0.05 s: looks 5 s ahead")
     lam: float = fraction(0.95, "lambda of generalised advantage estimation")
     clip: float = positive(0.2, "greatest change of an action's probability, as a share")
     value: float = non_negative(0.5, "weight of the critic's loss")
@@ -131,7 +132,7 @@ class Team(Algorithm):
         rng = self.generator()
         self.curriculum.move(self.rows)
         flown = self.fly()
-        self.steps += self.s.n_steps * self.rows.num_envs
+        self.steps += self.s.n_steps * self.s.repeat * self.rows.num_envs
         self.model.num_timesteps = self.steps
         return {**self.update(flown, rng, share), **self.rows.outcomes()}
 
@@ -141,16 +142,14 @@ class Team(Algorithm):
         s, log_std, size = self.s, self.policy.log_std, (self.s.n_steps, self.rows.num_envs)
         noise, pilot = torch.randn(*size, ACTION), actor(self.policy)
         rewards, over, actions = np.empty(size, np.float32), np.empty(size, bool), log_std.exp() * noise
-        cut = []  # step, row, and what the critic read last, of the flights that ended by their length alone
+        cut = []  # action, row, and what the critic read last, of the flights that ended by their length alone
         seen, judged = [prepare(self.policy, self.rows.observations)], [self.judged()]
         for k in range(s.n_steps):
             actions[k] += pilot.run(seen[k])[0]
-            _, rewards[k], over[k], infos = self.rows.step(actions[k].numpy())
+            rewards[k], over[k], last = self.hold(actions[k].numpy())
+            cut += [(k, row, read) for row, read in last]
             seen.append(prepare(self.policy, self.rows.observations))
             judged.append(self.judged())
-            for row in np.flatnonzero(over[k]).tolist():
-                if infos[row]["TimeLimit.truncated"]:
-                    cut.append((k, row, self.rows.last[row] if self.privileged else infos[row]["terminal_observation"]))
         inputs = Inputs.join(seen)
         read = Inputs.join(judged) if self.privileged else inputs
         values = self.values(read).reshape(s.n_steps + 1, -1)
@@ -164,6 +163,22 @@ class Team(Algorithm):
         flat = gaussian(noise, log_std), torch.from_numpy(gains), torch.from_numpy(returns)
         read = read.part(0, count) if self.privileged else None
         return Samples(inputs, read, actions.reshape(count, ACTION), start, *(part.reshape(count) for part in flat))
+
+    def hold(self, action: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[tuple[int, np.ndarray]]]:
+        """Fly `repeat` steps with one action of each row, (R, 4); rewards (R,), ends (R,), and what was read last.
+
+        That is row and what the critic read last, of flights that ended by their length alone. The flight that follows
+        in the same world is flown with the action until the next one, and pays nothing until then.
+        """
+        rewards, over, last = np.zeros(len(action), np.float32), np.zeros(len(action), bool), []
+        for _ in range(self.s.repeat):
+            _, paid, ended, infos = self.rows.step(action)
+            rewards += np.where(over, np.float32(0.0), paid)
+            for row in np.flatnonzero(ended & ~over).tolist():
+                if infos[row]["TimeLimit.truncated"]:
+                    last.append((row, self.rows.last[row] if self.privileged else infos[row]["terminal_observation"]))
+            over |= ended
+        return rewards, over, last
 
     def judged(self) -> Inputs:
         """What the critic reads now, where that is not what the actor reads."""
