@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from fovconn_env import Scenario, Simulator
+from fovconn_env import Scenario, Simulator, layout
 from fovconn_env.baselines.laws.lambda2_cbf import Lambda2Cbf
 from fovconn_env.baselines.learned.cards import BASES
 from fovconn_env.baselines.learned.inputs import ACTION, check_named, gain, input_size
@@ -21,7 +21,7 @@ from fovconn_env.flights.state_hash import frozen_dtypes
 from fovconn_env.flights.truth import read_truth
 from fovconn_env.kernel.records import State
 from fovconn_env.training.learn.checkpoints import below, check_like, check_state, check_world, generators
-from fovconn_env.training.learn.judge import judged
+from fovconn_env.training.learn.judge import EXTRA, judged
 from fovconn_env.training.sb3 import EPISODE_KEYS, RobotsVecEnv
 from fovconn_env.training.sb3.mix import Mix, check_weights
 from fovconn_env.training.sb3.teams import Team
@@ -104,21 +104,23 @@ class Rows(RobotsVecEnv):
         simulator, places = self.flies(k, rows)
         return simulator.observations.reshape(-1, simulator.scenario.observation_size)[places]
 
-    def judged(self) -> np.ndarray:
-        """What a critic that knows the truth reads of all rows, (R, D + judge.EXTRA)."""
-        parts = []
+    def judged(self, *, ended: bool = False) -> np.ndarray:
+        """What a critic that knows the truth reads of all rows, (R, D + judge.EXTRA).
+
+        ended: where no episode of a scenario has just ended, nothing is read, and 0 stands in its rows.
+        """
+        size = layout.observation_size(self.others, self.scenarios[0].max_ranges) + EXTRA
+        every = np.zeros((self.num_envs, size), np.float32)
         for k, rows in self.parts:
             simulator, places = self.flies(k, rows)
-            seen = judged(read_truth(simulator), self.scenarios[k], self.others)
-            parts.append((rows, seen.reshape(-1, seen.shape[-1])[places]))
-        every = np.empty((self.num_envs, parts[0][1].shape[1]), np.float32)
-        for rows, seen in parts:
-            every[rows] = seen
+            if not ended or np.repeat(simulator.over, self.scenarios[k].n_agents)[places].any():
+                seen = judged(read_truth(simulator), self.scenarios[k], self.others)
+                every[rows] = seen.reshape(-1, seen.shape[-1])[places]
         return every
 
     def _before_reset(self) -> None:
         if self.others:
-            self.last = self.judged()
+            self.last = self.judged(ended=True)
 
     def flies(self, k: int, rows: slice | np.ndarray) -> tuple[Simulator, np.ndarray]:
         """The simulator of scenario k, and the places of some rows that fly it among its robots."""
