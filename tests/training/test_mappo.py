@@ -96,6 +96,31 @@ def test_a_flight_cut_by_its_length_goes_on_in_value():
     np.testing.assert_allclose(flown.returns.numpy(), 0.5, atol=1e-6)
 
 
+def test_a_repeated_action_pays_until_its_flight_ends():
+    """Flights of 6 steps, actions of 4: the second action of each pays 2 steps, and nothing of the next flight."""
+    algorithm, twin = mappo(gamma=0.0, reward=1.0, repeat=4), mappo().rows
+    flown, n_rows = algorithm.fly(), twin.num_envs
+    paid = flown.returns.numpy().reshape(8, n_rows)
+    twin.reward, wanted, cut = 1.0, np.zeros((8, n_rows)), np.zeros(8, bool)
+    for k, action in enumerate(flown.actions.numpy().reshape(8, n_rows, -1)):
+        for _ in range(4):
+            _, rewards, dones, _ = twin.step(action)
+            wanted[k] += 0.0 if cut[k] else rewards
+            cut[k] |= dones.all()
+    np.testing.assert_allclose(paid, wanted, atol=1e-5)
+    assert cut.tolist() == [False, True, True, False, True, True, False, True]
+    np.testing.assert_array_equal(algorithm.rows.observations, twin.observations)
+
+
+def test_what_a_repeated_action_ends_with_is_read_in_its_last_step():
+    """With the share of the time that is left as the value, an end is worth 0 and not what the next flight has left."""
+    algorithm = mappo(gamma=1.0, reward=1e-9, lam=0.0, repeat=4)
+    algorithm.values = lambda read: read.own[:, LEFT].numpy()
+    sixths = 6.0 * algorithm.fly().returns.numpy().reshape(8, -1)
+    left = np.array([2, 0, 0, 2, 0, 0, 2, 0])  # after steps 4, 6, 12, 16 of 18, 18, 24, 28 of 30, 30
+    np.testing.assert_allclose(sixths, np.repeat(left[:, None], sixths.shape[1], 1), atol=1e-4)
+
+
 def test_it_is_worth_what_the_critic_reads_before_the_reset():
     """With the share of the time that is left as the value: 0 at the end of a flight, and not that of the next one."""
     algorithm = mappo(gamma=0.5, reward=1e-9, lam=0.0)
