@@ -10,6 +10,7 @@ from fovconn_env.flights.truth import Truth
 from fovconn_env.scenarios.scenario import Scenario
 
 EXTRA = 9  # columns behind those of an observation
+NEAREST = 15  # at most so many robots in reach are read
 LONG = 10.0  # s without a link that count as for ever where patience is endless; m to the leader that count as 1
 
 

@@ -21,7 +21,7 @@ from fovconn_env.flights.state_hash import frozen_dtypes
 from fovconn_env.flights.truth import read_truth
 from fovconn_env.kernel.records import State
 from fovconn_env.training.learn.checkpoints import below, check_like, check_state, check_world, generators
-from fovconn_env.training.learn.judge import EXTRA, judged
+from fovconn_env.training.learn.judge import EXTRA, NEAREST, judged
 from fovconn_env.training.sb3 import EPISODE_KEYS, RobotsVecEnv
 from fovconn_env.training.sb3.mix import Mix, check_weights
 from fovconn_env.training.sb3.teams import Team
@@ -67,7 +67,8 @@ class Rows(RobotsVecEnv):
         self._bases = [BASES[base](scenario) for scenario in scenarios] if base else []
         self._filters = [Lambda2Cbf(scenario) for scenario in scenarios] if filtered else []
         self.ended: list[dict[str, float]] = []
-        self.others = max(scenario.n_agents for scenario in scenarios) - 1 if privileged else 0  # rows of `judged`
+        most = max(scenario.n_agents for scenario in scenarios) - 1
+        self.others = min(most, NEAREST) if privileged else 0  # neighbour rows of `judged`
         self.last = np.zeros((0, 0), np.float32)  # `judged` when an episode last ended, before the reset
         self._seed = 0
         n_rows, seen = self.num_envs, self.observation_space
