@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from fovconn_env.sim.simulator import Simulator
 
@@ -45,16 +46,17 @@ class Truth(NamedTuple):
     observation: np.ndarray  # (B, N, D) float32, what the robots themselves know
 
 
-def read_truth(simulator: Simulator) -> Truth:
-    """The truth about all worlds of a simulator."""
+def read_truth(simulator: Simulator, worlds: npt.ArrayLike | None = None) -> Truth:
+    """The truth about all worlds of a simulator, or about some, (B,) numbers of worlds."""
     state, world, step_time = simulator.state, simulator.world, simulator.scenario.step_time
-    body, episode = state.body, state.episode
+    chosen = np.arange(simulator.n_worlds) if worlds is None else np.asarray(worlds)
+    body, episode = state.body[chosen], state.episode[chosen]
     c, s = np.cos(body["yaw"]), np.sin(body["yaw"])
 
     def world_frame(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
         return np.stack([c * x - s * y, s * x + c * y, z], axis=-1)
 
-    lead = np.arange(simulator.n_worlds), episode["leader"]
+    lead = np.arange(len(chosen)), episode["leader"]
     x, y = episode["stick_x"], episode["stick_y"]
     stick = np.stack([c[lead] * x - s[lead] * y, s[lead] * x + c[lead] * y, episode["stick_z"]], axis=-1)
     truth = Truth(
@@ -71,21 +73,21 @@ def read_truth(simulator: Simulator) -> Truth:
         alive=body["alive"].copy(),
         sees=body["sees"].copy(),
         talks=body["talks"].copy(),
-        weight=state.pair["weight"].copy(),
-        view=state.pair["f_star"].copy(),
-        hidden=state.pair["blocked"].copy(),
+        weight=state.pair["weight"][chosen],
+        view=state.pair["f_star"][chosen],
+        hidden=state.pair["blocked"][chosen],
         lambda2=episode["lambda2"].copy(),
-        v2=state.fiedler.copy(),
+        v2=state.fiedler[chosen],
         split=episode["split"].copy(),
         leader=episode["leader"].copy(),
         stick=stick,
-        waypoint=world.waypoint.copy(),
-        n_waypoints=world.n_waypoints.copy(),
-        current=np.clip(episode["waypoint"], 0, np.maximum(world.n_waypoints - 1, 0)),
-        piece=world.piece.copy(),
-        vertex=world.vertex.copy(),
-        fault=world.fault.copy(),
-        observation=simulator.built_in_observations.copy(),
+        waypoint=world.waypoint[chosen],
+        n_waypoints=world.n_waypoints[chosen],
+        current=np.clip(episode["waypoint"], 0, np.maximum(world.n_waypoints[chosen] - 1, 0)),
+        piece=world.piece[chosen],
+        vertex=world.vertex[chosen],
+        fault=world.fault[chosen],
+        observation=simulator.built_in_observations[chosen],
     )
     for array in truth:
         array.flags.writeable = False

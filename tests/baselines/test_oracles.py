@@ -14,7 +14,7 @@ from fovconn_env.baselines.oracles.plan import TURN
 from fovconn_env.baselines.oracles.planner import Planner
 from fovconn_env.errors import SettingError
 from fovconn_env.flights.rollout import rollout
-from fovconn_env.flights.truth import read_truth
+from fovconn_env.flights.truth import Truth, read_truth
 from fovconn_env.layout import rows
 from tests.helpers import recorded_actions, small
 
@@ -110,6 +110,14 @@ class Still(TeamOracle):
 
 
 @pytest.mark.nojit
+@pytest.mark.nojit
+def test_the_truth_of_some_worlds_is_theirs_in_that_of_all():
+    simulator = Simulator(scenario("LeaderObstacles-v0", n_agents=3), 3)
+    simulator.reset(5)
+    for name, every, some in zip(Truth._fields, read_truth(simulator), read_truth(simulator, [2, 0]), strict=True):
+        np.testing.assert_array_equal(some, every[[2, 0]], err_msg=name)
+
+
 def test_what_acts_gets_observations_and_nothing_else():
     Spy.seen.clear()
     for _ in rollout(Spy, small(max_cycles=2), [1]):

@@ -74,6 +74,20 @@ def test_the_critic_reads_it_and_the_actor_does_not(tmp_path):
     np.testing.assert_allclose(flown, wanted, atol=1e-5)
 
 
+def test_worlds_that_draw_what_they_fly_are_read_alike():
+    """Each row has what all worlds of its scenario's simulator have in its place, flown or not."""
+    tasks = [scenario(n_agents=3, **SHORT), scenario("Mix-v0", n_agents=3, **SHORT)]
+    rows = Rows(tasks, 6, privileged=True, weights=(1.0, 2.0), n_threads=1)
+    rows.reset()
+    for _ in range(8):
+        rows.step(np.zeros((18, 4), np.float32))
+    seen, flown = rows.judged(), rows.flown()
+    assert set(flown) == {0, 1}
+    for k, simulator in enumerate(rows.teams[0].simulators):
+        every = judged(read_truth(simulator), tasks[k], rows.others).reshape(18, -1)
+        np.testing.assert_array_equal(seen[flown == k], every[flown == k])
+
+
 def test_the_last_truth_is_that_before_the_reset():
     """A flight that ends by its length is worth what its last state is worth, not what the next start is."""
     rows = Rows([scenario(n_agents=3, **SHORT)], 2, privileged=True, n_threads=1)

@@ -114,9 +114,9 @@ class Rows(RobotsVecEnv):
         every = np.zeros((self.num_envs, size), np.float32)
         for k, rows in self.parts:
             simulator, places = self.flies(k, rows)
-            if not ended or np.repeat(simulator.over, self.scenarios[k].n_agents)[places].any():
-                seen = judged(read_truth(simulator), self.scenarios[k], self.others)
-                every[rows] = seen.reshape(-1, seen.shape[-1])[places]
+            worlds = places[:: self.scenarios[k].n_agents] // self.scenarios[k].n_agents
+            if not ended or simulator.over[worlds].any():
+                every[rows] = judged(read_truth(simulator, worlds), self.scenarios[k], self.others).reshape(-1, size)
         return every
 
     def _before_reset(self) -> None:
