@@ -22,6 +22,7 @@ from fovconn_env.baselines.laws.augmented import Augmented
 from fovconn_env.baselines.laws.cohesive import Cohesive
 from fovconn_env.baselines.laws.expert import Expert
 from fovconn_env.baselines.learned import inputs
+from fovconn_env.baselines.learned.trail import TRAIL
 from fovconn_env.baselines.policy import Policy
 from fovconn_env.errors import SettingError
 from fovconn_env.files import one_line, printable, read_file, read_json, write_files
@@ -49,6 +50,7 @@ class Card:
     network: str  # "set" or "mlp"
     base: str | None = None  # law that the network corrects; None: it acts alone
     bound: float = 0.0  # of a correction, in units of `inputs.gain`
+    memory: bool = False  # whether it reads what `trail` remembers
     observation_size: int  # at training; a set network fits any
     columns: Mapping[str, Sequence[str]]  # names of what the numbers are, by table
     inputs: str  # `inputs.fingerprint` of the code that trained
@@ -72,6 +74,7 @@ RULES: dict[str, tuple[Callable[[Any], bool], str, str]] = {  # what each value 
         f"a number in [0, {MAX_BOUND:g}]",
         "did the training diverge?",
     ),
+    "memory": (lambda x: isinstance(x, bool), "true or false", "written by hand?"),
     "observation_size": (
         lambda x: type(x) is int and 1 <= x <= MAX_WEIGHTS,
         "a whole number, at least 1",
@@ -131,7 +134,7 @@ def read(file: Path, names: Mapping[str, Sequence[str]]) -> tuple[Card, dict[str
 
 def check_shapes(file: Path, card: Card, arrays: Mapping[str, np.ndarray]) -> None:
     """Raise `SettingError` unless each layer takes what the one before gives."""
-    extra = inputs.ACTION if card.base else 0
+    extra = (inputs.ACTION if card.base else 0) + (TRAIL if card.memory else 0)
     shape = {name: array.shape for name, array in arrays.items()}
     for name in shape:
         if name.endswith("_bias"):

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import ClassVar, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from fovconn_env.baselines.learned.cards import BASES, Card, read
 from fovconn_env.baselines.learned.inputs import (
@@ -28,6 +29,7 @@ from fovconn_env.baselines.learned.inputs import (
     input_size,
     scales,
 )
+from fovconn_env.baselines.learned.trail import MEMORY, TRAIL, remember
 from fovconn_env.baselines.policy import Policy, make_class
 from fovconn_env.baselines.sources import stamp
 from fovconn_env.errors import SettingError
@@ -79,6 +81,7 @@ class Learned(Policy):
     """
 
     file: ClassVar[Path]
+    has_memory = False
 
     def __init__(self, scenario: Scenario) -> None:
         """Raises `ValueError` for weights that are missing, damaged or made for other observations."""
@@ -91,7 +94,9 @@ class Learned(Policy):
                 f"{self.card.observation_size}: a plain MLP fits one max_neighbors and max_ranges, a set network any"
             )
         self._base = BASES[self.card.base](scenario) if self.card.base else None
-        extra = ACTION if self._base else 0
+        self.has_memory = self.card.memory
+        self._memory = np.zeros(0, MEMORY)
+        extra = (ACTION if self._base else 0) + (TRAIL if self.card.memory else 0)
         self._scales = scales(scenario.max_neighbors, scenario.max_ranges, extra)
         self._gain = gain(scenario)
         first, second = self._head.first.shape
@@ -108,12 +113,23 @@ class Learned(Policy):
         """Actions (R, 4) for flat observations (R, D)."""
         outputs = np.empty((len(flat), ACTION), np.float32)
         if self._base is None:
-            base = np.zeros((len(flat), 0), np.float32)
-            self._run(flat, base, outputs)
+            more = np.zeros((len(flat), 0), np.float32)
+            if self.has_memory:
+                if len(self._memory) != len(flat):
+                    self._memory = np.zeros(len(flat), MEMORY)
+                more = remember(*self.rows(flat)[:2], self._memory, self.scenario.step_time)
+            self._run(flat, more, outputs)
             return np.clip(outputs * self._gain, -_ONE, _ONE)
         action = self._base.decide(flat)
         self._run(flat, action / self._gain, outputs)
         return correct_actions(flat, action, outputs, self._gain, self.card.bound)
+
+    def reset(self, mask: npt.ArrayLike | None = None) -> None:
+        """Clear the memory of all robots, or of those in `mask`, one bool a robot."""
+        if mask is None:
+            self._memory = np.zeros(0, MEMORY)
+        elif len(self._memory):
+            self._memory[np.ravel(mask)] = np.zeros((), MEMORY)
 
     def _run(self, flat: np.ndarray, base: np.ndarray, outputs: np.ndarray) -> None:
         flat = np.ascontiguousarray(flat[:, : self._size])

@@ -78,7 +78,8 @@ class Dagger(Algorithm):
         """
         s, network = settings or DaggerSettings(), (network or Network()).deviating(-2.0)
         self.curriculum = Curriculum(weights, s.frontier, len(scenarios))
-        self.rows = Rows(scenarios, s.n_worlds, weights=self.curriculum.weights, n_threads=n_threads)
+        drawn = self.curriculum.weights
+        self.rows = Rows(scenarios, s.n_worlds, weights=drawn, memory=network.memory, n_threads=n_threads)
         self.rows.seed(seed)
         super().__init__(make_model(self.rows, network, seed), scenarios, seed, s, network)
         self.s, self.start = s, start

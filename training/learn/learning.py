@@ -325,6 +325,7 @@ def write_policy(
         network=algorithm.network.kind,
         base=algorithm.base,
         bound=algorithm.bound,
+        memory=algorithm.network.memory,
         observation_size=input_size(algorithm.scenarios[0]),
         made=made,
         scores={**scores, "seeds": f"{seeds[0]}-{seeds[-1]}"} if seeds else {},

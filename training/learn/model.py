@@ -19,6 +19,7 @@ from fovconn_env.baselines.learned.networks import ENCODERS, Inputs
 from fovconn_env.baselines.learned.networks import Encoder as TorchEncoder
 from fovconn_env.baselines.learned.policy import Encoder, Head
 from fovconn_env.baselines.learned.sets import activate
+from fovconn_env.baselines.learned.trail import TRAIL
 from fovconn_env.bounds import setting
 from fovconn_env.errors import check_count, rule
 from fovconn_env.training.learn.judge import EXTRA
@@ -35,6 +36,7 @@ class Network:
     width: int = setting(64, "of a neighbour's term in the set network")
     spots: int = setting(32, "of a range point's")
     hidden: tuple[int, int] = setting((128, 64), "layers of actor and of critic, on top of the features")
+    memory: bool = setting(False, "whether it reads what its robot remembers (baselines/learned/trail.py)")
     log_std: float | None = setting(None, "logarithm of an action's first deviation; None: the algorithm's own")
 
     def __post_init__(self) -> None:
@@ -192,6 +194,11 @@ def weights(policy: ActorCriticPolicy) -> dict[str, np.ndarray]:
 def load_weights(policy: ActorCriticPolicy, encoder: Encoder, head: Head) -> None:
     """Copy a policy's arrays to the actor. Raises `ValueError` if the sizes differ."""
     arrays = {**encoder._asdict(), **head._asdict()}
+    more = policy.pi_features_extractor.own_size - len(arrays["own"])
+    if more == TRAIL:  # it had no memory, and begins without using one
+        own, rest = np.split(arrays["first"], [len(arrays["own"])])
+        arrays["own"] = np.pad(arrays["own"], ((0, more), (0, 0)))
+        arrays["first"] = np.concatenate([np.pad(own, ((0, more), (0, 0))), rest])
     for name, mine in weights(policy).items():
         hint = "start with the same --network and its sizes"
         rule(arrays[name].shape == mine.shape, f"{name} of the start", f"{mine.shape}", arrays[name].shape, hint)

@@ -114,6 +114,7 @@ class Team(Algorithm):
         law = {"base": self.base, "bound": self.bound, "filtered": filtered}
         drawn = self.curriculum.weights
         options = {"reward": s.reward, "privileged": self.privileged, "weights": drawn, "n_threads": n_threads}
+        options |= {"memory": network.memory}
         self.rows = Rows(scenarios, s.n_worlds, **options, **law)
         sizes = {"n_steps": s.n_steps, "n_epochs": s.n_epochs, "batch_size": s.batch}
         self.rate = s.learning_rate * (s.warm if start else 1.0)

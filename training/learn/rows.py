@@ -16,6 +16,7 @@ from fovconn_env.baselines.laws.lambda2_cbf import Lambda2Cbf
 from fovconn_env.baselines.learned.cards import BASES
 from fovconn_env.baselines.learned.inputs import ACTION, check_named, gain, input_size
 from fovconn_env.baselines.learned.policy import correct_actions
+from fovconn_env.baselines.learned.trail import MEMORY, TRAIL, remember
 from fovconn_env.errors import rule
 from fovconn_env.flights.state_hash import frozen_dtypes
 from fovconn_env.flights.truth import read_truth
@@ -51,6 +52,7 @@ class Rows(RobotsVecEnv):
         filtered: bool = False,
         reward: float = 1.0,
         privileged: bool = False,
+        memory: bool = False,
         weights: npt.ArrayLike | None = None,
         n_threads: int | None = None,
     ) -> None:
@@ -63,7 +65,8 @@ class Rows(RobotsVecEnv):
         columns = input_size(scenarios[0]) if scenarios else None
         super().__init__(scenarios, n_worlds, weights=weights, columns=columns, n_threads=n_threads)
         self.gains = [gain(scenario) for scenario in scenarios]
-        self.reward, self.bound, self.extra = reward, bound, ACTION if base else 0
+        self.reward, self.bound, self.extra = reward, bound, (ACTION if base else 0) + (TRAIL if memory else 0)
+        self.memory = np.zeros(0, MEMORY)
         self._bases = [BASES[base](scenario) for scenario in scenarios] if base else []
         self._filters = [Lambda2Cbf(scenario) for scenario in scenarios] if filtered else []
         self.ended: list[dict[str, float]] = []
@@ -72,6 +75,7 @@ class Rows(RobotsVecEnv):
         self.last = np.zeros((0, 0), np.float32)  # `judged` when an episode last ended, before the reset
         self._seed = 0
         n_rows, seen = self.num_envs, self.observation_space
+        self.memory = np.zeros(n_rows if memory else 0, MEMORY)
         assert isinstance(seen, spaces.Box)
         self._outputs = np.zeros((n_rows, ACTION), np.float32)
         low, high = (
@@ -93,6 +97,7 @@ class Rows(RobotsVecEnv):
     def reset(self) -> np.ndarray:
         """Start all worlds and return the observations (R, D + extra)."""
         self.seed(self._seed)
+        self.memory[:] = np.zeros((), MEMORY)
         flat = super().reset()
         self.parts = self._parts()
         self.observations = self._extended(flat)
@@ -153,6 +158,14 @@ class Rows(RobotsVecEnv):
         flat, rewards, dones, infos = super().step_wait()
         if dones.any():
             self.parts = self._parts()
+            if len(self.memory):
+                for k, rows in parts:
+                    ended = np.arange(self.num_envs)[rows][dones[rows]]
+                    if len(ended):
+                        last = np.stack([infos[row]["terminal_observation"] for row in ended])
+                        for row, observation in zip(ended.tolist(), self._with_memory(k, last, ended), strict=True):
+                            infos[row]["terminal_observation"] = observation
+                self.memory[dones] = np.zeros((), MEMORY)
         self.observations = self._extended(flat)
         for k, rows in parts:
             ended = np.arange(self.num_envs)[rows][dones[rows]]
@@ -204,16 +217,27 @@ class Rows(RobotsVecEnv):
     def _kept(self) -> dict[str, np.ndarray]:
         """What goes on from step to step beside the simulators."""
         kept = {"observations": self.observations, "return": self._return, "length": self._length}
+        kept |= {f"memory/{name}": self.memory[name] for name in (MEMORY.names or ()) if len(self.memory)}
         return kept | ({"success": self.success} if self.drawn else {})
 
     def _extended(self, flat: np.ndarray) -> np.ndarray:
         """Observations of all rows, (R, D), with the actions of their base laws."""
-        if not self._bases:
+        if not self.extra:
             return flat
         extended = np.zeros(self.observations.shape, np.float32)
         for k, rows in self.parts:
-            extended[rows] = self._with_base(k, flat[rows])
+            seen = flat[rows]
+            extended[rows] = self._with_base(k, seen) if self._bases else self._with_memory(k, seen, rows)
         return extended
+
+    def _with_memory(self, k: int, flat: np.ndarray, rows: slice | np.ndarray) -> np.ndarray:
+        """Observations of scenario k with what the robots of these rows remember now."""
+        scenario, kept = self.scenarios[k], self.memory[rows]
+        size = layout.observation_size(scenario.max_neighbors, scenario.max_ranges)
+        seen = layout.rows(np.ascontiguousarray(flat[:, :size]), scenario.max_neighbors, scenario.max_ranges)
+        columns = remember(seen.own, seen.neighbors, kept, scenario.step_time)
+        self.memory[rows] = kept
+        return np.concatenate([flat, columns], axis=1)
 
     def _with_base(self, k: int, flat: np.ndarray) -> np.ndarray:
         """Observations of scenario k with the actions of its base law."""
