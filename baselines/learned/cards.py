@@ -169,6 +169,8 @@ def read_card(file: Path) -> Card:
     for name, (holds, says, hint) in RULES.items():
         _rule(name not in told or holds(told[name]), f"{name} of {place}", says, told.get(name), hint)
     card = Card(**told)
+    both = bool(card.base) and card.memory
+    _rule(not both, f"memory of {place}", f"false with a base law ({card.base})", card.memory, "written by hand?")
     _check_columns(place, card.columns)
     hint = "units, frames or scales are others since; train it anew"
     mine = inputs.fingerprint()

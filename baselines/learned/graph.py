@@ -34,6 +34,7 @@ from fovconn_env.baselines.learned.inputs import (
     scales,
 )
 from fovconn_env.baselines.learned.policy import Encoder, Head, Learned, load
+from fovconn_env.errors import rule
 from fovconn_env.version import __version__
 
 OPSET, IR = 13, 7  # of 2020: any onnxruntime since then runs it
@@ -82,6 +83,7 @@ def to_onnx(policy: Learned) -> onnx.ModelProto:
     """The graph of a learned policy, for its scenario."""
     card, encoder, head = load(policy.file)
     scenario, graph = policy.scenario, Graph()
+    rule(not card.memory, "policy", "one without a memory", type(policy).__name__, "a graph remembers nothing")
     size, unit = input_size(scenario), graph.array(gain(scenario))
     scale = graph.array(scales(scenario.max_neighbors, scenario.max_ranges))
     scaled = graph.add("Div", graph.part(OBSERVATIONS, 0, size), scale)

@@ -16,7 +16,9 @@ from fovconn_env.kernel.jit import entry, kernel
 # neighbours; back: where this robot was; positions in m, relative, yaw frame, by odometry. The others are means over
 # the last seconds.
 _POSITIONS = [f"{name}_{axis}" for name in ("near", "centre", "back") for axis in "xyz"]
-MEMORY = np.dtype((np.record, [("begun", "?"), *((name, "f8") for name in (*_POSITIONS, *"away turn lambda2 share".split()))]))
+MEMORY = np.dtype(
+    (np.record, [("begun", "?"), *((name, "f8") for name in (*_POSITIONS, *"away turn lambda2 share".split()))])
+)
 TRAIL = len(_POSITIONS) + 4  # columns
 AWAY, CENTRE, BACK, TURN, TEAM = 4.0, 2.0, 6.0, 2.0, 4.0  # s, time constants
 LONG, WIDE = 8.0, 4.0  # m that count as 1, of near and centre, and of back
@@ -45,11 +47,13 @@ def follow(own, neighbors, memory, dt, columns):
         m.turn += dt / TURN * (turn - m.turn)
         m.lambda2 += dt / TEAM * (lambda2 - m.lambda2)
         m.share += dt / TEAM * (share - m.share)
-        for k, (x, y, z, unit) in enumerate((
-            (m.near_x, m.near_y, m.near_z, LONG),
-            (m.centre_x, m.centre_y, m.centre_z, LONG),
-            (m.back_x, m.back_y, m.back_z, WIDE),
-        )):
+        for k, (x, y, z, unit) in enumerate(
+            (
+                (m.near_x, m.near_y, m.near_z, LONG),
+                (m.centre_x, m.centre_y, m.centre_z, LONG),
+                (m.back_x, m.back_y, m.back_z, WIDE),
+            )
+        ):
             for c, value in enumerate((x, y, z)):
                 out[3 * k + c] = min(max(value / unit, -4.0), 4.0)
         out[9] = 1.0 - math.exp(-m.away / AWAY)

@@ -166,7 +166,7 @@ def test_the_kernel_flies_what_torch_learned(kind, base, seen, tmp_path):
     learning.write_policy(trained, tmp_path, {}, ())
     policy = from_file(tmp_path / f"{trained.name}.safetensors")(scenario(n_agents=5))
     rows = Rows([scenario(n_agents=5)], 1, base=base)
-    inputs = rows._with_base(0, seen) if base else seen
+    inputs = rows._with_extra(0, seen, slice(None)) if base else seen
     output = mean_action(trained.policy, inputs).numpy()
     led = seen[:, LEADER, None] > 0
     assert led.any()

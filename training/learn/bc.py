@@ -51,6 +51,8 @@ class BC(Algorithm):
         data: Sequence[Episodes],
     ) -> None:
         s, network = settings or BCSettings(), (network or Network()).deviating(-2.0)
+        hint = "a data set has rows of flights, not what was remembered; dagger has"
+        rule(not network.memory, "Network.memory", "False for bc", network.memory, hint)
         model = make_model(Rows(scenarios[:1], 1, n_threads=1), network, seed)
         super().__init__(model, scenarios, seed, s, network)
         pairs = [episodes.pairs() for episodes in data]

@@ -37,9 +37,9 @@ class Rows(RobotsVecEnv):
 
     Actions are in units of `inputs.gain`: the same number is the same velocity in every scenario. With a base law, its
     actions are columns more of an observation, and an action is a correction of at most `bound` (`correct_actions`).
-    `filtered` puts the barrier on lambda2 on what is flown; rewards are multiplied by `reward`; with `weights`, worlds
-    draw what they fly. An episode that ends leaves its outcome in `ended`. `privileged` rows have what a critic reads
-    that knows the truth, see `judge`.
+    With a `memory`, what a robot remembers (`trail`) is columns more. `filtered` puts the barrier on lambda2 on what is
+    flown; rewards are multiplied by `reward`; with `weights`, worlds draw what they fly. An episode that ends leaves
+    its outcome in `ended`. `privileged` rows have what a critic reads that knows the truth, see `judge`.
     """
 
     def __init__(
@@ -57,6 +57,7 @@ class Rows(RobotsVecEnv):
         n_threads: int | None = None,
     ) -> None:
         rule(base is None or base in BASES, "base", f"one of {', '.join(BASES)}", base, "a law without a memory")
+        rule(not (base and memory), "Network.memory", "False where a law is corrected", memory, "or leave out the law")
         for scenario in scenarios if base else ():
             check_named(scenario)
         for one in scenarios:
@@ -65,8 +66,8 @@ class Rows(RobotsVecEnv):
         columns = input_size(scenarios[0]) if scenarios else None
         super().__init__(scenarios, n_worlds, weights=weights, columns=columns, n_threads=n_threads)
         self.gains = [gain(scenario) for scenario in scenarios]
-        self.reward, self.bound, self.extra = reward, bound, (ACTION if base else 0) + (TRAIL if memory else 0)
-        self.memory = np.zeros(0, MEMORY)
+        self.reward, self.bound = reward, bound
+        self.extra = ACTION if base else TRAIL if memory else 0  # columns behind those of an observation
         self._bases = [BASES[base](scenario) for scenario in scenarios] if base else []
         self._filters = [Lambda2Cbf(scenario) for scenario in scenarios] if filtered else []
         self.ended: list[dict[str, float]] = []
@@ -156,23 +157,16 @@ class Rows(RobotsVecEnv):
             actions[rows] = self._flown(k, rows)
         super().step_async(actions)
         flat, rewards, dones, infos = super().step_wait()
-        if dones.any():
-            self.parts = self._parts()
-            if len(self.memory):
-                for k, rows in parts:
-                    ended = np.arange(self.num_envs)[rows][dones[rows]]
-                    if len(ended):
-                        last = np.stack([infos[row]["terminal_observation"] for row in ended])
-                        for row, observation in zip(ended.tolist(), self._with_memory(k, last, ended), strict=True):
-                            infos[row]["terminal_observation"] = observation
-                self.memory[dones] = np.zeros((), MEMORY)
-        self.observations = self._extended(flat)
         for k, rows in parts:
             ended = np.arange(self.num_envs)[rows][dones[rows]]
-            if self._bases and len(ended):
-                last = self._with_base(k, np.stack([infos[row]["terminal_observation"] for row in ended]))
+            if self.extra and len(ended):
+                last = self._with_extra(k, np.stack([infos[row]["terminal_observation"] for row in ended]), ended)
                 for row, observation in zip(ended.tolist(), last, strict=True):
                     infos[row]["terminal_observation"] = observation
+        if dones.any():
+            self.parts = self._parts()
+            self.memory[dones[: len(self.memory)]] = np.zeros((), MEMORY)
+        self.observations = self._extended(flat)
         self._return += rewards
         self._length += 1
         for k, rows in parts:
@@ -221,27 +215,26 @@ class Rows(RobotsVecEnv):
         return kept | ({"success": self.success} if self.drawn else {})
 
     def _extended(self, flat: np.ndarray) -> np.ndarray:
-        """Observations of all rows, (R, D), with the actions of their base laws."""
+        """Observations of all rows, (R, D), with their extra columns."""
         if not self.extra:
             return flat
         extended = np.zeros(self.observations.shape, np.float32)
         for k, rows in self.parts:
-            seen = flat[rows]
-            extended[rows] = self._with_base(k, seen) if self._bases else self._with_memory(k, seen, rows)
+            extended[rows] = self._with_extra(k, flat[rows], rows)
         return extended
 
-    def _with_memory(self, k: int, flat: np.ndarray, rows: slice | np.ndarray) -> np.ndarray:
-        """Observations of scenario k with what the robots of these rows remember now."""
+    def _with_extra(self, k: int, flat: np.ndarray, rows: slice | np.ndarray) -> np.ndarray:
+        """Observations of scenario k with the actions of its base law, or with what the robots of these rows remember.
+
+        What is remembered goes on by a step.
+        """
+        if self._bases:
+            return np.concatenate([flat, self._bases[k].decide(flat) / self.gains[k]], axis=1, dtype=np.float32)
         scenario, kept = self.scenarios[k], self.memory[rows]
-        size = layout.observation_size(scenario.max_neighbors, scenario.max_ranges)
-        seen = layout.rows(np.ascontiguousarray(flat[:, :size]), scenario.max_neighbors, scenario.max_ranges)
+        seen = layout.rows(flat, scenario.max_neighbors, scenario.max_ranges)
         columns = remember(seen.own, seen.neighbors, kept, scenario.step_time)
         self.memory[rows] = kept
         return np.concatenate([flat, columns], axis=1)
-
-    def _with_base(self, k: int, flat: np.ndarray) -> np.ndarray:
-        """Observations of scenario k with the actions of its base law."""
-        return np.concatenate([flat, self._bases[k].decide(flat) / self.gains[k]], axis=1, dtype=np.float32)
 
     def _flown(self, k: int, rows: slice | np.ndarray) -> np.ndarray:
         """Shares that the robots of these rows, of scenario k, fly."""
