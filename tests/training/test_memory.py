@@ -98,6 +98,11 @@ def test_where_nothing_is_remembered(make):
         make()
 
 
+def test_it_remembers_or_not():
+    with pytest.raises(SettingError, match=r"Network\.memory must be True or False, got 'perhaps'"):
+        Network(memory="perhaps")
+
+
 def test_no_graph_of_what_remembers(tmp_path):
     pytest.importorskip("onnx")
     from fovconn_env.baselines.learned.graph import to_onnx

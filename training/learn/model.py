@@ -45,6 +45,7 @@ class Network:
         rule(fine, "Network.hidden", "two layers", self.hidden, "for example hidden=(128, 64)")
         for name, size in (("width", self.width), ("spots", self.spots), *(("hidden", n) for n in self.hidden)):
             check_count(f"Network.{name}", size, "a layer has units")
+        rule(type(self.memory) is bool, "Network.memory", "True or False", self.memory, "whether it remembers")
         fine = self.log_std is None or (type(self.log_std) in (int, float) and abs(self.log_std) <= 20)
         rule(fine, "Network.log_std", "a number in [-20, 20] or None", self.log_std, "a logarithm")
 
