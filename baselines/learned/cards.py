@@ -58,6 +58,11 @@ class Card:
     made: Mapping[str, Any] = field(default_factory=dict)  # algorithm, command, scenarios, seed, steps, time, versions
     scores: Mapping[str, Any] = field(default_factory=dict)  # on the seeds that chose the checkpoint
 
+    @property
+    def extra(self) -> int:
+        """Columns of the own row behind those of the observation."""
+        return inputs.ACTION if self.base else TRAIL if self.memory else 0
+
 
 FIELDS = dataclasses.fields(Card)
 REQUIRED = {part.name for part in FIELDS if part.default is part.default_factory is dataclasses.MISSING}
@@ -134,7 +139,7 @@ def read(file: Path, names: Mapping[str, Sequence[str]]) -> tuple[Card, dict[str
 
 def check_shapes(file: Path, card: Card, arrays: Mapping[str, np.ndarray]) -> None:
     """Raise `SettingError` unless each layer takes what the one before gives."""
-    extra = (inputs.ACTION if card.base else 0) + (TRAIL if card.memory else 0)
+    extra = card.extra
     shape = {name: array.shape for name, array in arrays.items()}
     for name in shape:
         if name.endswith("_bias"):

@@ -29,7 +29,7 @@ from fovconn_env.baselines.learned.inputs import (
     input_size,
     scales,
 )
-from fovconn_env.baselines.learned.trail import MEMORY, TRAIL, remember
+from fovconn_env.baselines.learned.trail import MEMORY, remember
 from fovconn_env.baselines.policy import Policy, make_class
 from fovconn_env.baselines.sources import stamp
 from fovconn_env.errors import SettingError
@@ -96,8 +96,7 @@ class Learned(Policy):
         self._base = BASES[self.card.base](scenario) if self.card.base else None
         self.has_memory = self.card.memory
         self._memory = np.zeros(0, MEMORY)
-        extra = (ACTION if self._base else 0) + (TRAIL if self.card.memory else 0)
-        self._scales = scales(scenario.max_neighbors, scenario.max_ranges, extra)
+        self._scales = scales(scenario.max_neighbors, scenario.max_ranges, self.card.extra)
         self._gain = gain(scenario)
         first, second = self._head.first.shape
         widest = max(first, second, *(w.shape[1] for w in (self._head.second, *self._encoder[:1])))
