@@ -117,8 +117,8 @@ class Sb3Policy(Model):
             hint = "make_vec_env has flat observations, with state=True a Dict of them and the true state"
             rule(OBSERVATION in seen.spaces, f"observations of {self.file}", "flat", list(seen.spaces), hint)
             seen = seen[OBSERVATION]
-        hint = "fly the NAME.safetensors beside it, which is the same network with its law"
-        rule(not extra, f"{self.file}", "a model that acts alone", "a correction of a law", hint)
+        hint = "fly the NAME.safetensors beside it, which is the same network with its law or memory"
+        rule(not extra, f"{self.file}", "a model that acts alone", f"{extra} columns of a law or a memory", hint)
         check_size(self.file, seen.shape, self._frames * self._size)
         box = isinstance(actions, spaces.Box) and actions.shape == (ACTION,)
         shares = box and (extra is not None or bool((actions.low == -1.0).all() and (actions.high == 1.0).all()))

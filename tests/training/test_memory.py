@@ -103,6 +103,12 @@ def test_it_remembers_or_not():
         Network(memory="perhaps")
 
 
+def test_the_model_of_sb3_remembers_nothing(tmp_path):
+    written(dagger(), tmp_path)
+    with pytest.raises(SettingError, match="a model that acts alone, got '13 columns of a law or a memory'"):
+        load_policy(tmp_path / "model.zip", TASKS[0])
+
+
 def test_no_graph_of_what_remembers(tmp_path):
     pytest.importorskip("onnx")
     from fovconn_env.baselines.learned.graph import to_onnx
