@@ -14,6 +14,7 @@ from fovconn_env.files import Archive, Damaged
 from fovconn_env.training.learn.dagger import Dagger, DaggerSettings
 from fovconn_env.training.learn.learning import restore
 from fovconn_env.training.learn.model import Network
+from fovconn_env.training.learn.origin import check_recipe
 from fovconn_env.training.learn.ppo import PPOSettings, Team
 
 TINY = {"n_agents": 3, "warmup": 0.1, "max_cycles": 20, "course.settle": 0.0}
@@ -161,3 +162,18 @@ def test_a_rollout_of_others_is_refused():
     arrays = archive.arrays | {"rows/length": archive.arrays["rows/length"][1:]}
     with pytest.raises(Damaged, match="rows/length must be of the shape"):
         restore(team(), archive._replace(arrays=arrays), {}, "c.npz")
+
+
+@pytest.mark.parametrize("make", [dagger, team], ids=["dagger", "ppo"])
+@pytest.mark.parametrize("group", ["settings", "network"])
+def test_a_setting_that_came_later_was_at_its_default(make, group):
+    """Checkpoints lack what did not exist yet: no other value goes on from them."""
+    algorithm = make()
+    mine, recipe = getattr(algorithm, group), algorithm.recipe()
+    for field in dataclasses.fields(mine):
+        stored = {**recipe, group: {name: value for name, value in recipe[group].items() if name != field.name}}
+        if getattr(mine, field.name) == field.default:
+            check_recipe(stored, recipe, **{group: mine})
+        else:
+            with pytest.raises(SettingError, match=rf"{group}\.{field.name}.* must be the checkpoint's"):
+                check_recipe(stored, recipe, **{group: mine})

@@ -278,7 +278,7 @@ def restore(algorithm: Algorithm, checkpoint: Archive, made_of: Mapping[str, Any
         rule(numbers and type(header["best"].get("worth", 0.0)) in (int, float), "best", "scores", header["best"], "1")
     except SettingError as problem:
         raise Damaged(f"{path} is damaged: {one_line(problem)}") from problem
-    check_recipe(header["recipe"], algorithm.recipe())
+    check_recipe(header["recipe"], algorithm.recipe(), settings=algorithm.settings, network=algorithm.network)
     check_origin(header.get("origin", {}), made_of)
     try:
         algorithm.unpack(checkpoint.arrays)

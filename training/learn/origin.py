@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
 import platform
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,17 +19,18 @@ from fovconn_env.errors import SettingError
 from fovconn_env.files import one_line
 from fovconn_env.training.evaluation.shelf import code_files
 
-LATER = {"frontier": 0.0}  # settings that checkpoints before 0.3 lack, and what they were
 
+def check_recipe(stored: Mapping[str, Any], current: Mapping[str, Any], **groups: Any) -> None:
+    """Raise `SettingError` naming the first setting in which a resumed training differs from its checkpoint.
 
-def check_recipe(stored: Mapping[str, Any], current: Mapping[str, Any]) -> None:
-    """Raise `SettingError` naming the first setting in which a resumed training differs from its checkpoint."""
+    groups: `settings` and `network` of the training. What came later than a checkpoint was at its default then.
+    """
     if all("type" not in scenario for scenario in stored["scenarios"]):
         current = {**current, "scenarios": as_in_version_0_1(current["scenarios"])}
-    settings = stored.get("settings")
-    if isinstance(settings, dict):
-        later = {name: value for name, value in LATER.items() if name in current["settings"]}
-        stored = {**stored, "settings": {**later, **settings}}
+    for name, group in groups.items():
+        if isinstance(stored.get(name), dict):
+            defaults = json.loads(json.dumps(dataclasses.asdict(type(group)())))
+            stored = {**stored, name: defaults | stored[name]}
     for name, value in current.items():
         check_same(name, stored.get(name), value, "resume with the same command, or train in another --out")
 
