@@ -61,6 +61,7 @@ def documented():
 REMEMBER = {
     "recovery": "recovery",
     "adaptive": "adaptive",
+    "generalist": "generalist",
     "filtered": "lambda2-cbf:recovery",
     "own": Smooth,
     "own filtered": filtered("lambda2-cbf", Smooth),

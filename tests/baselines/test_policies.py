@@ -21,7 +21,7 @@ from tests.helpers import COARSE, SETTLED, few, recorded_actions, small
 pytestmark = pytest.mark.nojit
 
 ROOT = Path(__file__).parents[2]
-MEMORYLESS = sorted(set(POLICIES) - {"recovery", "adaptive"})
+MEMORYLESS = sorted(set(POLICIES) - {"recovery", "adaptive", "generalist"})
 TOP = 2.5  # m/s: speed_limit + stick_speed
 HALF = np.sqrt(0.5)
 AHEAD = {"present": 1, "f_ij": 1.0, "weight": 1.0, "bearing_x": 1.0}  # a robot it sees, 45 deg right of its camera

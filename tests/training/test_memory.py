@@ -73,14 +73,19 @@ def test_the_last_observation_remembers_too():
 
 
 def test_it_begins_as_the_policy_without_a_memory(tmp_path):
-    network = Network(width=96, spots=48, hidden=(192, 96), memory=True)
-    new = load_policy(written(dagger(FOLDER / "generalist.safetensors", network), tmp_path), TASKS[0])
-    old, simulator = load_policy("generalist", TASKS[0]), Simulator(TASKS[0], 2)
+    new = load_policy(written(dagger(FOLDER / "dagger.safetensors", Network(memory=True)), tmp_path), TASKS[0])
+    old, simulator = load_policy("dagger", TASKS[0]), Simulator(TASKS[0], 2)
     simulator.reset(1)
     for _ in range(9):
         actions = old.act(simulator.observations)
         np.testing.assert_allclose(new.act(simulator.observations), actions, atol=1e-6)
         simulator.step(actions)
+
+
+def test_a_start_with_a_memory_needs_one(tmp_path):
+    start = written(dagger(), tmp_path)
+    with pytest.raises(SettingError, match=r"of the start must be .*: the start has a memory: --tune memory=True"):
+        dagger(start, Network(width=8, spots=4, hidden=(16, 8)))
 
 
 def test_a_checkpoint_holds_what_is_remembered():
@@ -107,12 +112,3 @@ def test_the_model_of_sb3_remembers_nothing(tmp_path):
     written(dagger(), tmp_path)
     with pytest.raises(SettingError, match="a model that acts alone, got '13 columns of a law or a memory'"):
         load_policy(tmp_path / "model.zip", TASKS[0])
-
-
-def test_no_graph_of_what_remembers(tmp_path):
-    pytest.importorskip("onnx")
-    from fovconn_env.baselines.learned.graph import to_onnx
-
-    policy = load_policy(written(dagger(), tmp_path), TASKS[0])
-    with pytest.raises(SettingError, match="policy must be one without a memory"):
-        to_onnx(policy)

@@ -202,6 +202,7 @@ def load_weights(policy: ActorCriticPolicy, encoder: Encoder, head: Head) -> Non
         arrays["first"] = np.concatenate([np.pad(own, ((0, more), (0, 0))), rest])
     for name, mine in weights(policy).items():
         hint = "start with the same --network and its sizes"
+        hint = "the start has a memory: --tune memory=True" if more == -TRAIL else hint
         rule(arrays[name].shape == mine.shape, f"{name} of the start", f"{mine.shape}", arrays[name].shape, hint)
     with torch.no_grad():
         for name, layer in layers(policy).items():
