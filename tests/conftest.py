@@ -74,6 +74,18 @@ def undrawn(monkeypatch):
 
 
 @pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    """A real browser; without one, what it would see is left out."""
+    from tests.chromium import CHROMIUM, Browser  # not at the top: few tests look at pages
+
+    if CHROMIUM is None:
+        pytest.skip("pages are tested in a browser, and there is none: apt-get install chromium")
+    opened = Browser(tmp_path_factory.mktemp("chromium"))
+    yield opened
+    opened.close()
+
+
+@pytest.fixture(scope="module")
 def one_thread():
     """Torch sums on one thread: sums over threads differ in their last bits from one number of them to another."""
     import torch  # not at the top: most tests run without it

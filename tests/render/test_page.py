@@ -20,7 +20,6 @@ from fovconn_env.render import palette
 from fovconn_env.render.page import web_page
 from fovconn_env.render.page.web_page import SCRIPTS, arrays, instants, settings, write_page
 from fovconn_env.scenarios.presets import scenario
-from tests.chromium import CHROMIUM, Browser
 from tests.made_flight import make_flight
 
 WEB = Path(web_page.__file__).with_name("web")
@@ -141,15 +140,6 @@ def test_the_script_reads_what_was_written(page):
 
 
 # --------------------------------------------------------------------------------------------------- in a browser
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    if CHROMIUM is None:
-        pytest.skip("The page is tested in a browser, and there is none: apt-get install chromium")
-    opened = Browser(tmp_path_factory.mktemp("chromium"))
-    yield opened
-    opened.close()
-
-
 @pytest.fixture(scope="module")
 def two_minutes(tmp_path_factory, browser):
     """The page of a real flight of six robots over two minutes."""

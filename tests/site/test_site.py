@@ -10,7 +10,6 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 from fovconn_env import PRESETS
-from tests.chromium import CHROMIUM, Browser
 
 pytest.importorskip("mkdocs")
 griffe = pytest.importorskip("griffe")
@@ -146,15 +145,6 @@ def test_the_reference_shows_every_public_name():
 
 
 # ----------------------------------------------------------------------------------------------------------- browser
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    if CHROMIUM is None:
-        pytest.skip("there is no Chromium")
-    browser = Browser(tmp_path_factory.mktemp("chromium"))
-    yield browser
-    browser.close()
-
-
 @pytest.mark.parametrize("width", [360, 1280])
 def test_pages_fit(browser, width):
     """No page is wider than the window, complains, or asks the network for anything."""

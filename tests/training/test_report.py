@@ -4,7 +4,6 @@ import hashlib
 import json
 import math
 import re
-from contextlib import closing
 from html.parser import HTMLParser
 
 import numpy as np
@@ -32,7 +31,6 @@ from fovconn_env.training.evaluation.tables import (
     scenario_table,
 )
 from fovconn_env.training.evaluation.text import escape
-from tests.chromium import CHROMIUM, Browser
 from tests.test_text import HOSTILE
 
 HEAD = {"seeds": "0-23", "date": "2026-01-01", "settings": "n_agents=3 | max_cycles<=40"}
@@ -391,22 +389,19 @@ def test_sections_have_places_of_their_own(written, tmp_path):
     assert re.findall(r'href="#([^"]*)"', text) == places
 
 
-def test_a_click_sorts_by_a_column(written, tmp_path):
+def test_a_click_sorts_by_a_column(written, browser):
     """Numbers from the largest, words from A; a second click turns them round."""
-    if CHROMIUM is None:
-        pytest.skip("The page is tested in a browser, and there is none: apt-get install chromium")
     table = "document.querySelectorAll('section')[1].querySelector('table')"
-    with closing(Browser(tmp_path)) as browser:
-        browser.open(written[0] / "report.html")
-        for k, value in ((0, str), (1, lambda cell: -float(cell.split(" ")[0]))):
-            for turned in (False, True):
-                browser.evaluate(f"{table}.tHead.rows[0].cells[{k}].querySelector('button').click()")
-                cells = browser.evaluate(f"[...{table}.tBodies[0].rows].map((row) => row.cells[{k}].textContent)")
-                values = [value(cell) for cell in cells]
-                assert values == sorted(values, reverse=turned)
-                order = browser.evaluate(f"{table}.tHead.rows[0].cells[{k}].getAttribute('aria-sort')")
-                assert (order == "ascending") == ((k == 0) != turned)
-        assert browser.problems == []
+    browser.open(written[0] / "report.html")
+    for k, value in ((0, str), (1, lambda cell: -float(cell.split(" ")[0]))):
+        for turned in (False, True):
+            browser.evaluate(f"{table}.tHead.rows[0].cells[{k}].querySelector('button').click()")
+            cells = browser.evaluate(f"[...{table}.tBodies[0].rows].map((row) => row.cells[{k}].textContent)")
+            values = [value(cell) for cell in cells]
+            assert values == sorted(values, reverse=turned)
+            order = browser.evaluate(f"{table}.tHead.rows[0].cells[{k}].getAttribute('aria-sort')")
+            assert (order == "ascending") == ((k == 0) != turned)
+    assert browser.problems == []
 
 
 def test_every_policy_looks_different():
