@@ -21,7 +21,8 @@ LEADER = [column.name for column in layout.SELF].index("is_leader")
 SHARE = 0.3  # factor of a sum over rows: three rows give about one
 # Names in a policy's ONNX file, see `graph`: of inputs and output, and of settings that make velocities of shares
 OBSERVATIONS, BASE, ACTIONS = "observations", "base_actions", "actions"
-SPEEDS = ("stick_speed", "speed_limit", "yaw_rate_limit")
+MEMORY, NEXT = "memory", "next_memory"  # of a robot, an input and an output; zeros begin a flight
+SPEEDS, STEP = ("stick_speed", "speed_limit", "yaw_rate_limit"), "step_time"
 
 # Bounds of the layout by scale, and narrower ones of some columns. Constants: the same for all N and scenarios.
 _BOUNDS = {**Scenario().scales(), "lambda2": 3.0, "speed": 1.5, "turn": 1.0}

@@ -19,6 +19,7 @@ _POSITIONS = [f"{name}_{axis}" for name in ("near", "centre", "back") for axis i
 MEMORY = np.dtype(
     (np.record, [("begun", "?"), *((name, "f8") for name in (*_POSITIONS, *"away turn lambda2 share".split()))])
 )
+REMEMBERED = MEMORY.names or ()
 TRAIL = len(_POSITIONS) + 4  # columns
 AWAY, CENTRE, BACK, TURN, TEAM = 4.0, 2.0, 6.0, 2.0, 4.0  # s, time constants
 LONG, WIDE = 8.0, 4.0  # m that count as 1, of near and centre, and of back

@@ -13,6 +13,7 @@ from fovconn_env import Simulator, scenario
 from fovconn_env.baselines import load_policy, source_files
 from fovconn_env.baselines.learned import cards
 from fovconn_env.baselines.learned.inputs import ACTION, EMPHASIS, OWN, POINT, ROW
+from fovconn_env.baselines.learned.trail import REMEMBERED, TRAIL
 from fovconn_env.errors import SettingError
 from tests.integrations import ROOT, SHORT, commands_of, fovconn
 
@@ -25,6 +26,7 @@ from onnx import TensorProto, helper
 
 from fovconn_env.baselines.learned.graph import to_onnx
 
+FLOAT, DOUBLE = TensorProto.FLOAT, TensorProto.DOUBLE
 TASK = scenario("LeaderFollow-v0", **SHORT)
 SEEN, DONE = ("observations", ["robots", TASK.observation_size]), ("actions", ["robots", ACTION])
 
@@ -40,9 +42,10 @@ def flown(task, policy, steps=60):
     return np.concatenate(seen)
 
 
-def write_network(file, network, base, task, seed=0):
+def write_network(file, network, base, task, seed=0, memory=False):
     """A policy file of random weights, whose actions fill the range."""
-    rng, extra, width, spots = np.random.default_rng(seed), ACTION if base else 0, 24, 12
+    extra = ACTION if base else TRAIL if memory else 0
+    rng, width, spots = np.random.default_rng(seed), 24, 12
     own = OWN + EMPHASIS + extra
     shapes = {"row": (ROW, width), "own": (own, width), "term": (width, width)}
     shapes |= {"point": (POINT, spots), "spot": (spots, spots)}
@@ -53,7 +56,7 @@ def write_network(file, network, base, task, seed=0):
     arrays = {name: rng.normal(0.0, shape[0] ** -0.5, shape) for name, shape in shapes.items()}
     arrays |= {f"{name}_bias": rng.normal(0.0, 0.1, shape[1]) for name, shape in shapes.items() if name != "own"}
     size, bound = cards.inputs.input_size(task), 0.3 if base else 0.0
-    cards.write(file, arrays, network=network, base=base, bound=bound, observation_size=size)
+    cards.write(file, arrays, network=network, base=base, bound=bound, observation_size=size, memory=memory)
 
 
 def run(model, policy, flat):
@@ -88,6 +91,30 @@ def test_it_runs_as_the_kernel(network, base, name, settings, tmp_path):
     assert np.ptp(wanted, axis=0).min() > 0.05
     np.testing.assert_allclose(run(model, policy, flat), wanted, atol=1e-6)
     np.testing.assert_allclose(run(model, policy, flat[:1]), wanted[:1], atol=1e-6)  # one robot alone
+
+
+@pytest.mark.parametrize("name", ["LeaderFollow-v0", "NarrowCamera-v0", "Blackout-v0", "RealCamera-v0"])
+@pytest.mark.parametrize("network", ["set", "mlp"])
+def test_a_memory_goes_on_as_the_kernels(network, name, tmp_path):
+    """Over a flight, each with what it remembers itself, while neighbours come and go."""
+    changes = {"level": 3} if name.startswith("Narrow") else {}
+    task = scenario(name, **{"warmup": 0.1, "clock.ticks": 10}, **changes)
+    write_network(tmp_path / "mine.safetensors", network, None, task, memory=True)
+    policy = load_policy(tmp_path / "mine.safetensors", task)
+    session = onnxruntime.InferenceSession(to_onnx(policy).SerializeToString(), providers=["CPUExecutionProvider"])
+    simulator, count = Simulator(task, n_worlds=4), 4 * task.n_agents
+    simulator.reset(3)
+    memory, seen = np.zeros((count, len(REMEMBERED)), np.float32), set()
+    for _ in range(80):
+        flat = simulator.observations.reshape(count, -1).copy()
+        wanted = policy.act(flat)
+        actions, memory = session.run(["actions", "next_memory"], {"observations": flat, "memory": memory})
+        np.testing.assert_allclose(actions, wanted, atol=1e-6)
+        mine = np.array([[float(robot[column]) for column in REMEMBERED] for robot in policy._memory])
+        np.testing.assert_allclose(memory, mine, atol=1e-5)
+        seen |= set((memory[:, REMEMBERED.index("away")] > 0.0).tolist())
+        simulator.step(wanted.reshape(4, task.n_agents, ACTION))
+    assert seen == {True, False}
 
 
 @pytest.mark.parametrize("name", ["dagger", "ppo", "residual"])
@@ -130,6 +157,35 @@ def test_an_exported_policy_flies_and_with_its_law(name, tmp_path):
     assert source_files(type(policy)) == [tmp_path / "mine.onnx"]
 
 
+def test_an_exported_memory_flies(tmp_path):
+    """As the policy itself: in a stack, by name, forgotten for some robots, copied and from a pickle."""
+    write_network(tmp_path / "mine.safetensors", "set", None, TASK, memory=True)
+    original = load_policy(tmp_path / "mine.safetensors", TASK)
+    onnx.save(to_onnx(original), tmp_path / "mine.onnx")
+    policy, named = (load_policy(tmp_path / "mine.onnx", TASK) for _ in range(2))
+    assert policy.has_memory
+    simulator = Simulator(TASK)
+    simulator.reset(3)
+    for k in range(12):
+        seen = simulator.observations.copy()
+        if k == 6:
+            mask = np.arange(TASK.n_agents) < 2
+            for each in (original, policy, named):
+                each.reset(mask)
+        if k == 9:
+            policy = pickle.loads(pickle.dumps(copy.deepcopy(policy)))
+        actions = policy.act(seen)
+        np.testing.assert_allclose(actions, original.act(seen), atol=1e-6)
+        alone = [named.act(row, agent=agent) for row, agent in zip(seen[0], TASK.agents, strict=True)]
+        np.testing.assert_array_equal(actions[0], alone)
+        simulator.step(actions)
+    policy.reset()
+    first = policy.act(seen)
+    assert np.abs(first - actions).max() > 1e-3  # it had remembered something
+    with pytest.raises(SettingError, match=r"step_time of .*mine\.onnx must be 0\.1 as the scenario's, got '0\.05'"):
+        load_policy(tmp_path / "mine.onnx", scenario("LeaderFollow-v0", **SHORT, **{"clock.ticks": 10}))
+
+
 def write_model(file, inputs, outputs, nodes, arrays=(), told=None):
     def values(each):
         return [helper.make_tensor_value_info(name, kind, shape) for name, shape, kind in each]
@@ -160,7 +216,27 @@ def test_what_others_write_flies(rows, columns, tmp_path):
     np.testing.assert_array_equal(policy.act(flat), np.clip(flat[:, :4], -1.0, 1.0))
 
 
-FLOAT, DOUBLE = TensorProto.FLOAT, TensorProto.DOUBLE
+@pytest.mark.parametrize("size", [1, 3])
+def test_a_memory_of_others_goes_on(size, tmp_path):
+    """The mean of what it has seen so far, and how often."""
+    inputs = [("x", ["n", TASK.observation_size], FLOAT), ("memory", ["n", size], FLOAT)]
+    one = onnx.numpy_helper.from_array(np.float32(1.0), "one")
+    node, bounds = slice_of(seen="x", name="part")
+    nodes = [node, helper.make_node("Slice", ["memory", "bound_0", "end", "bound_1"], ["age"])]
+    nodes += [helper.make_node("Add", ["memory", "one"], ["next_memory"])]
+    nodes += [helper.make_node("Add", ["part", "age"], ["actions"])]
+    outs = [("actions", None, FLOAT), ("next_memory", None, FLOAT)]
+    end = onnx.numpy_helper.from_array(np.array([1]), "end")
+    policy = load_policy(write_model(tmp_path / "mine.onnx", inputs, outs, nodes, [*bounds, one, end]), TASK)
+    flat = np.full((TASK.n_agents, TASK.observation_size), -1.0, np.float32)
+    assert [float(policy.act(flat)[0, 0]) for _ in range(4)] == [-1.0, 0.0, 1.0, 1.0]
+    policy.reset()
+    assert float(policy.act(flat)[0, 0]) == -1.0
+    write_model(tmp_path / "mine.onnx", inputs, outs[:1], [*nodes[:2], *nodes[3:]], [*bounds, one, end])
+    with pytest.raises(SettingError, match=r"outputs of .* must be one called 'next_memory', got \['actions'\]"):
+        load_policy(tmp_path / "mine.onnx", TASK)
+
+
 SIZE = TASK.observation_size
 OTHERS = {
     "size": (
