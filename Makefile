@@ -14,6 +14,8 @@ BIN := $(VENV)/bin
 # No compiling: Python does it for what is imported, which halves the wait.
 INSTALL := -m pip install -qq --disable-pip-version-check --no-compile --no-build-isolation
 PIP := $(BIN)/python $(INSTALL) -c constraints.txt
+# tests of what needs libraries that `make test` has not
+LEARNERS = $(shell grep -rlE 'importorskip.*"(rerun|stable_baselines3|torch)"' tests --include='test_*.py' --exclude-dir=integrations)
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 # Where this is set, as in many containers, each of the suite's hundred processes would compile all that it imports.
@@ -46,7 +48,7 @@ test-fast: $(VENV)/installed-dev  ## the suite without its long statistics
 	$(PYTEST) -m "not slow" $(ARGS)
 
 test-integrations: $(addprefix $(LIBRARIES)/,$(addsuffix /installed,current older ros))  ## docs/examples, each with its library (torch, 3 GB)
-	$(LIBRARIES)/current/bin/python -m pytest tests/integrations tests/training/test_sb3.py tests/training/test_training.py tests/training/test_curriculum.py tests/training/test_mappo.py tests/training/test_sweeps.py tests/render/test_rerun.py tests/test_files.py $(ARGS)
+	$(LIBRARIES)/current/bin/python -m pytest tests/integrations $(LEARNERS) $(ARGS)
 	$(LIBRARIES)/older/bin/python -m pytest tests/integrations $(ARGS)
 	$(LIBRARIES)/ros/bin/python -m pytest tests/integrations/test_ros2.py $(ARGS)
 
@@ -63,7 +65,7 @@ results: $(VENV)/installed-demo  ## fly all that docs/results shows (two hours),
 	$(BIN)/fovconn eval $(RAY) $(LONG) --seeds 0-999 --out out/results/thousand --json docs/results/thousand.json
 	$(BIN)/fovconn eval $(RAY) $(LONG) --seeds 0-999 --set stick_speed=2.5 --out out/results/fast --json docs/results/fast.json
 	$(BIN)/fovconn figures $(RAY) --ablations --seeds 0-319 --out out/results/ablations --json docs/results/ablations.json
-	$(BIN)/python -m fovconn_env.training.evaluation levels learned cameras
+	$(BIN)/python -m fovconn_env.training.evaluation levels learned cameras envelope
 	cp out/results/ablations/ablations.png out/results/leaderboard/leaderboard.png docs/images/
 	cp $(addprefix out/results/full/plots/,$(SHOWN)) docs/images/
 	$(BIN)/python docs/shrink.py

@@ -11,6 +11,7 @@ In README.md and docs/*.md a table stands between `<!-- KIND:NAME -->` and `<!--
 - `quickstart`: `spread`, a table, or `line`, a sentence in docs/quickstart.ipynb, of docs/quickstart.json, which
   docs/quickstart_spread.py writes
 - `learning`: `end`, a table of docs/results/curves/libraries.json, or `made`, a line; docs/learning_curves.py writes it
+- `training`: `ablations`, a table of docs/training_ablations.json, or `made`, a line, by docs/training_ablations.py
 - `fidelity`: `flights` or `causes` of docs/fidelity.json, which docs/fidelity.py writes
 - `tasks`: the tasks of a suite, `tasks:hard-v1`
 - `layout`: a table of `fovconn_env.layout`, or `scales`, what the named bounds are
@@ -32,7 +33,7 @@ from statistics import mean
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # runs from a clone without an install, too
 
-from fovconn_env import Corridor, Forest, Scenario, layout, scenario
+from fovconn_env import HARD, Corridor, Forest, Scenario, layout, scenario
 from fovconn_env.baselines import Gains
 from fovconn_env.bounds import default_of, words_of
 from fovconn_env.files import write_text
@@ -49,6 +50,7 @@ from fovconn_env.training.play import gamepad, keyboard
 ROOT = Path(__file__).parents[1]
 RESULTS, NOTEBOOK = ROOT / "docs" / "results", ROOT / "docs" / "quickstart.ipynb"
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs" / "recipes").glob("*.md")))
+LEFT_OUT = ("Corridor-v0 3", "NarrowCamera-v0 3", "LossyRadio-v0 4")  # of one way to train the generalist
 # What the named bounds of the layout are, as expressions in the settings of a Scenario.
 SCALES = {
     "speed": "2 * speed_limit",
@@ -106,7 +108,7 @@ def rendered(text: str) -> str:
     """A page with its generated tables made anew."""
     kinds = {"layout": layout_table, "settings": settings_table, "keys": keys_table, "fidelity": fidelity_table}
     kinds |= {"quickstart": quickstart_table, "results": results_table, "five": five_table, "tasks": tasks_table}
-    kinds["learning"] = learning_table
+    kinds["learning"], kinds["training"] = learning_table, training_table
     for kind, file in (("bench", "benchmark.json"), ("speed", "speed.json")):
         kinds[kind] = functools.partial(bench_table, file)
     return _MARKED.sub(lambda place: f"{place[1]}\n{kinds[place[2]](place[3])}\n\n{place[4]}", text)
@@ -213,6 +215,25 @@ def learning_table(name: str) -> str:
         rows.append([method, made["libraries"][method], *ends, ", ".join(minutes)])
     for law, flown in made["laws"].items():
         rows.append([f"`{law}`", "a law", *(f"{mean(flown[key]):{form}}" for key, form in forms.items()), ""])
+    return markdown((head, rows))
+
+
+def training_table(name: str) -> str:
+    """What each way to train the generalist is worth: "ablations", a Markdown table, or "made", a line."""
+    record = json.loads((ROOT / "docs" / "training_ablations.json").read_text("utf-8"))
+    run = record["run"]
+    if name == "made":
+        about = f"{run['steps']:,} robot steps, {run['flights']} flights of a task from seed 0, fewer of large teams"
+        return f"{about}; one thread, {run['finished']}; {run['machine']['cpu']}."
+    head = ["trained", "29 levels, %", "hard-v1, %", *(f"{label}, %" for label in LEFT_OUT), "minutes"]
+    rows = []
+    for variant, runs in record["found"].items():
+        flown = [found["success"] for found in runs]
+        groups = [[task for task in flown[0] if (task in HARD) == hard] for hard in (False, True)]
+        means = [[mean(100.0 * worth[task] for task in group) for worth in flown] for group in groups]
+        shown = [", ".join(f"{value:.1f}" for value in values) for values in means]
+        shown += [", ".join(f"{100.0 * worth[label]:.0f}" for worth in flown) for label in LEFT_OUT]
+        rows.append([record["about"][variant], *shown, ", ".join(f"{found['minutes']:.0f}" for found in runs)])
     return markdown((head, rows))
 
 

@@ -18,7 +18,7 @@ from fovconn_env.training.evaluation.check_results import (
 from fovconn_env.training.evaluation.record import Record, Result, to_json, write_json
 from fovconn_env.training.evaluation.statistics import Estimate
 
-STUDIES = ("full", "leaderboard", "thousand", "fast", "levels", "learned", "ablations", "cameras")
+STUDIES = ("full", "leaderboard", "thousand", "fast", "levels", "learned", "ablations", "cameras", "envelope")
 
 
 def result(policy, kept, *, settings=None, count=128, difference=0.0, progress=0.5, collision=0.0):
@@ -65,14 +65,14 @@ def test_bars_of_levels(kept, count, holds):
     [
         (0.1, 0.9, []),
         (0.8, 1.0, []),
-        (0.81, 0.9, ["the best policy has success in 10 to 80 % on HardGap-v1"]),
-        (0.09, 0.9, ["the best policy has success in 10 to 80 % on HardGap-v1"]),
+        (0.81, 0.9, ["the best other policy has success in 10 to 80 % on HardGap-v1"]),
+        (0.09, 0.9, ["the best other policy has success in 10 to 80 % on HardGap-v1"]),
         (0.5, 0.89, ["oracle-planner has success in 90 % on HardGap-v1"]),
     ],
 )
 def test_bars_of_hard_tasks(best, ceiling, claims):
-    """Of one task's policies, whatever its oracles reach."""
-    shares = {"zero": 0.0, "mine": best, "oracle": 0.95, "oracle-planner": ceiling}
+    """Of one task's policies, whatever its oracles reach, and who has trained on it."""
+    shares = {"zero": 0.0, "mine": best, "generalist": 0.9, "oracle": 0.95, "oracle-planner": ceiling}
     policies = {name: {"oracle": name.startswith("oracle")} for name in shares}
 
     def of(task, values):
@@ -84,6 +84,34 @@ def test_bars_of_hard_tasks(best, ceiling, claims):
         for each in of(task, shares if task == "HardGap-v1" else shares | {"mine": 0.5, "oracle-planner": 1.0})
     ]
     assert failed(_bars_of_hard(Record("leaderboard", [0], policies, board))) == claims
+
+
+@pytest.mark.parametrize(
+    "own, gap, claims",
+    [
+        ((0.9, 0.7), (0.0, 0.0), []),
+        ((0.9, 0.69), (0.0, -0.01), ["generalist succeeds as often as the best law of each level"]),
+        ((1.0, 0.7), (0.1, -0.04), ["generalist is not 3 points below springs on Mix-v0 {'level': 2}"]),
+    ],
+)
+def test_bars_of_the_generalist(own, gap, claims, monkeypatch):
+    """Beside the best law of each level, whatever other sizes of teams do."""
+    levels_ = [("Regroup-v0", ()), ("Mix-v0", (("level", 2),))]
+    monkeypatch.setattr(check_results.envelope, "levels", lambda: levels_)
+    monkeypatch.setattr(check_results.envelope, "LAWS", ("follow", "springs"))
+    results = []
+    for (name, settings), share, difference in zip(levels_, own, gap, strict=True):
+        against = {
+            law: {"success": Estimate(difference, difference - 0.01, difference + 0.005)}
+            for law in ("follow", "springs")
+        }
+        follow, springs = (0.9, 0.1) if name == "Regroup-v0" else (0.3, 0.7)
+        for policy, value in (("follow", follow), ("springs", springs), ("generalist", share)):
+            measures = {"success": Estimate(value, 0.0, 1.0)}
+            results.append(
+                Result(policy, name, dict(settings), 320, measures, against if policy == "generalist" else {})
+            )
+    assert failed(check_results._bars_of_generalist(Record("envelope", [0], {}, results))) == claims
 
 
 def test_what_is_missing_is_told():

@@ -118,32 +118,35 @@ def test_the_table_of_learned_policies():
 
 
 def test_the_best_law_of_each_level(monkeypatch):
-    """It is chosen by its success; the mean is that of what is best on each task."""
+    """It is chosen by its success; the mean is that of what is best on each level."""
     shares = {("follow", "Mix-v0"): 0.5, ("springs", "Mix-v0"): 0.75, ("follow", "Regroup-v0"): 0.25}
     shares |= {("springs", "Regroup-v0"): 0.125, ("generalist", "Mix-v0"): 0.8, ("generalist", "Regroup-v0"): 0.2}
     gap = {
         law: {"success": Estimate(k / 10, k / 10 - 0.1, k / 10 + 0.1)} for k, law in enumerate(("follow", "springs"))
     }
-    tasks = [("Mix-v0", (("level", 2),)), ("Regroup-v0", ())]
+    tasks = [("Mix-v0", (("level", 2),)), ("Regroup-v0", ()), ("Mix-v0", (("n_agents", 4),))]
     results = [
-        result(policy, name, dict(dict(tasks)[name]), gap if policy == "generalist" else None, progress=0.5,
-               success=Estimate(share, share - 0.1, share + 0.1))
-        for (policy, name), share in shares.items()
+        result(policy, name, dict(settings), gap if policy == "generalist" else None, progress=0.5,
+               success=Estimate(shares[policy, name], shares[policy, name] - 0.1, shares[policy, name] + 0.1))
+        for name, settings in tasks
+        for policy in ("follow", "springs", "generalist")
     ]  # fmt: skip
     monkeypatch.setattr(envelope, "LAWS", ("follow", "springs"))
-    monkeypatch.setattr(envelope, "tasks", lambda: tasks)
+    monkeypatch.setattr(envelope, "levels", lambda: tasks[:2])
+    monkeypatch.setattr(envelope, "sizes", lambda: tasks[2:])
     head, rows = tables.envelope_table(record("envelope", results))
     assert {len(row) for row in rows} == {len(head)}
     assert rows[0] == ["Mix-v0 `level=2`", "64", "springs", "75.0", "80.0 [70, 90]", "+10.0 [+0.0, +20.0]", "0.50"]
     assert rows[1][2:6] == ["follow", "25.0", "20.0 [10, 30]", "+0.0 [-10.0, +10.0]"]
-    assert rows[2] == ["mean", "", "", "50.0", "50.0", "", ""]
+    assert rows[2] == ["mean of the levels", "", "", "50.0", "50.0", "", ""]
+    assert rows[3][0] == "Mix-v0 `n_agents=4`"
 
 
 def test_the_study_of_the_envelope_flies_every_level_and_other_sizes():
     flown = envelope.study()
     levels_of = {name for name, preset in PRESETS.items() if not preset.n_detections}
     assert {task.scenario for task in flown.tasks} == levels_of
-    assert len(envelope.tasks()) == 29 + 3
+    assert (len(envelope.levels()), len(envelope.sizes())) == (29, 3)
     counts = {scenario(task.scenario, **dict(task.settings)).n_agents: task.count for task in flown.tasks}
     assert counts == {3: 320, 4: 320, 6: 320, 9: 320, 12: 320, 16: 64, 24: 64, 48: 32}
     assert {task.against for task in flown.tasks if task.policy == envelope.POLICY} == {envelope.LAWS}

@@ -14,7 +14,7 @@ import numpy as np
 from fovconn_env import HARD, PRESETS, scenario
 from fovconn_env.baselines import ORACLES, POLICIES
 from fovconn_env.baselines.laws.filters import split_name
-from fovconn_env.training.evaluation import ablations, cameras, learned, levels
+from fovconn_env.training.evaluation import ablations, cameras, envelope, learned, levels
 from fovconn_env.training.evaluation.campaign import DEV_SEEDS
 from fovconn_env.training.evaluation.flights import SHARES, evaluate
 from fovconn_env.training.evaluation.record import Record, Result, about, load
@@ -75,6 +75,7 @@ def complete(records: dict[str, Record]) -> Claims:
         "learned": learned.study(),
         "ablations": ablations.study(seeds),
         "cameras": cameras.study(),
+        "envelope": envelope.study(),
     }.items():
         yield f"{name} has all tasks of its study", _tasks(records[name]) == _study_tasks(study)
 
@@ -86,6 +87,7 @@ def bars(records: dict[str, Record]) -> Claims:
     yield from _bars_of_imitation(records["learned"])
     yield from _bars_of_reward(records["learned"])
     yield from _bars_of_hard(records["leaderboard"])
+    yield from _bars_of_generalist(records["envelope"])
 
 
 def _bars_of_laws(thousand: Record, fast: Record) -> Claims:
@@ -145,9 +147,23 @@ def _bars_of_hard(board: Record) -> Claims:
     """What makes a task hard, docs/scenarios.md."""
     for task in HARD:
         shares = {each.policy: _value(each, SUCCESS) for each in board.results if each.scenario == task}
-        best = max(share for policy, share in shares.items() if not board.policies[policy]["oracle"])
-        yield f"the best policy has success in 10 to 80 % on {task}", 0.1 <= best <= 0.8
+        others = [policy for policy in shares if not board.policies[policy]["oracle"] and policy != envelope.POLICY]
+        best = max(shares[policy] for policy in others)  # that has not trained on these tasks
+        yield f"the best other policy has success in 10 to 80 % on {task}", 0.1 <= best <= 0.8
         yield f"oracle-planner has success in 90 % on {task}", shares["oracle-planner"] >= 0.9
+
+
+def _bars_of_generalist(record: Record) -> Claims:
+    """One network beside the best law of each level."""
+    own, best = [], []
+    for name, settings in envelope.levels():
+        policy = record.find(envelope.POLICY, name, dict(settings))
+        law = envelope.best_law(record, name, settings)
+        own.append(_value(policy, SUCCESS))
+        best.append(_value(law, SUCCESS))
+        near = policy.difference(law.policy, SUCCESS).high >= -0.03
+        yield f"{envelope.POLICY} is not 3 points below {law.policy} on {name} {dict(settings)}", near
+    yield f"{envelope.POLICY} succeeds as often as the best law of each level", sum(own) >= sum(best)
 
 
 def _is_ours(policy: str) -> bool:

@@ -235,21 +235,24 @@ def camera_table(record: Record) -> Table:
 
 
 def envelope_table(record: Record) -> Table:
-    """The policy on each task beside the law that is best there, and its difference to that law, in points."""
+    """The policy on each task beside the law that is best there, and its difference to that law, in points.
+
+    The mean is that of the levels; teams of other sizes come behind it.
+    """
     head = ["flown on", "episodes", "best law", "its success %", f"{envelope.POLICY} %", "difference", "progress"]
-    lines, own, best = [], [], []
-    for name, settings in envelope.tasks():
+    lines, own, best, levels = [], [], [], envelope.levels()
+    for name, settings in levels + envelope.sizes():
         policy = record.find(envelope.POLICY, name, dict(settings))
-        laws = {law: record.find(law, name, dict(settings)).measures[SUCCESS].value for law in envelope.LAWS}
-        law = max(laws, key=laws.__getitem__)
+        law = envelope.best_law(record, name, settings)
         own.append(policy.measures[SUCCESS].value)
-        best.append(laws[law])
+        best.append(law.measures[SUCCESS].value)
         task = " ".join([name, *(f"`{setting}={value}`" for setting, value in settings)])
-        cells = [percent(policy.measures[SUCCESS]), estimate(policy.difference(law, SUCCESS), "+.1f", 100)]
+        cells = [percent(policy.measures[SUCCESS]), estimate(policy.difference(law.policy, SUCCESS), "+.1f", 100)]
         progress = number(policy.measures["progress"].value, ".2f")
-        lines.append([task, f"{policy.count}", law, f"{100 * laws[law]:.1f}", *cells, progress])
-    means = [f"{100 * sum(values) / len(values):.1f}" for values in (best, own)]
-    return head, [*lines, ["mean", "", "", *means, "", ""]]
+        lines.append([task, f"{policy.count}", law.policy, f"{100 * best[-1]:.1f}", *cells, progress])
+    count = len(levels)
+    means = [f"{100 * sum(values[:count]) / count:.1f}" for values in (best, own)]
+    return head, [*lines[:count], ["mean of the levels", "", "", *means, "", ""], *lines[count:]]
 
 
 _STUDIES: dict[str, Callable[[Record], dict[str, Table]]] = {
