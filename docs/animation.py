@@ -19,7 +19,7 @@ from fovconn_env.render.live.view import View, ViewSettings
 PICTURE = Path(__file__).parent / "images" / "hard.webp"
 TASK, POLICY, SEED = "HardPillars-v1", "generalist", 22
 SIZE, SETTINGS = (640, 420), ViewSettings(above=False, distance=15.0, elevation=math.radians(42))  # px; m
-FIRST, EVERY, FPS = 60, 5, 12  # steps before the first picture, and from each to the next; pictures a second
+FIRST, EVERY, FPS = 60, 6, 10  # steps before the first picture, and from each to the next; pictures a second
 HOLD, QUALITY = 2500, 17  # ms that the last picture stays; of WebP, for less than 1 MB
 
 if __name__ == "__main__":
