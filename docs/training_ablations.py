@@ -27,7 +27,7 @@ from fovconn_env.training.evaluation.record import machine
 
 ROOT = Path(__file__).parents[1]
 MADE = ROOT / "docs" / "training_ablations.json"
-STEPS, SEEDS, FLIGHTS = 12_000_000, (0, 1), 64  # robot steps of a training, trainings, flights of a task
+STEPS, SEEDS, FLIGHTS = 12_000_000, (0, 1), 32  # robot steps of a training, trainings, flights of a task
 LARGE = 24  # teams of so many robots fly a quarter of the flights
 LEFT_OUT = (("Corridor-v0", 3), ("NarrowCamera-v0", 3), ("LossyRadio-v0", 4))
 NETWORK = {"width": 96, "spots": 48, "hidden": (192, 96), "memory": True}
@@ -51,11 +51,6 @@ def by_eye(tasks: list[Task]) -> list[Task]:
     return [task._replace(teacher=(task.teacher or "").removeprefix("informed:")) for task in tasks]
 
 
-def one_law(tasks: list[Task]) -> list[Task]:
-    """One law everywhere that knows the truth."""
-    return [task._replace(teacher="informed:cohesive") for task in tasks]
-
-
 def without(tasks: list[Task]) -> list[Task]:
     """Without three levels, and the hard tasks that are made of them."""
     gone = [scenario(name, level=level) for name, level in LEFT_OUT]
@@ -68,8 +63,6 @@ VARIANTS = {
     "no-memory": Variant("without a memory", network={"memory": False}),
     "half": Variant("half as wide", network={"width": 48, "spots": 24, "hidden": (96, 48)}),
     "plain": Variant("the same laws teach, by what they observe", tasks=by_eye),
-    "one-law": Variant("`informed:cohesive` teaches everywhere", tasks=one_law),
-    "knee": Variant("the loss linear from 0.02 on", settings={"knee": 0.02}),
     "left-out": Variant("without Corridor 3, NarrowCamera 3, LossyRadio 4, HardGap and HardRadio", tasks=without),
     "longer": Variant("as long again: DAgger", start="all"),
     "fine-tuned": Variant("as long again: MAPPO, held near its start", trainer="mappo", start="all"),
