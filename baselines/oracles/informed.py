@@ -36,11 +36,12 @@ class Informed(TeamOracle):
     """A law on true observations; a subclass names the law, see `informed`."""
 
     inner: ClassVar[type[Policy]]
+    called: ClassVar[str]  # in messages
 
     def __init__(self, scenario: Scenario) -> None:
         super().__init__(scenario)
         self.policy = self.inner(dataclasses.replace(scenario, max_neighbors=max(scenario.n_agents - 1, 1)))
-        check_memory(self.policy, type(self).__name__)  # a model's file says it of an instance
+        check_memory(self.policy, self.called)  # a model's file says it of an instance
         self._ways: dict[int, tuple[bytes, Field | None]] = {}  # of each world, and of what: to be computed once
 
     @classmethod
@@ -115,7 +116,13 @@ def informed(kind: type[Policy], name: str | None = None) -> type[Informed]:
     """The oracle that is a law, called `name` in tables, on true observations; `SettingError` for one with a memory."""
     called = name or kind.__name__
     check_memory(kind, called)
-    fields = {"inner": kind, "overrides": kind.overrides, "has_memory": False, "__doc__": f"{kind.__doc__} Informed."}
+    fields = {
+        "inner": kind,
+        "called": called,
+        "overrides": kind.overrides,
+        "has_memory": False,
+        "__doc__": f"{kind.__doc__} Informed.",
+    }
     return make_class(f"{PREFIX}-{called}", Informed, fields, informed, kind, name)
 
 

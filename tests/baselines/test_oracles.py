@@ -337,6 +337,8 @@ def test_a_law_that_knows_the_truth_is_an_oracle_with_a_name():
         find_policy("informed:cohesive")
     with pytest.raises(SettingError, match="informed: must be followed by a policy without a memory, got 'adaptive'"):
         find_pilot("informed:adaptive")
+    with pytest.raises(SettingError, match="policy without a memory, got 'generalist'"):  # its file says so
+        find_pilot("informed:generalist")(scenario())
     with pytest.raises(SettingError, match="policy must act by observations, got 'informed:follow'"):
         find_pilot("informed:informed:follow")
 

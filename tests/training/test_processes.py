@@ -41,7 +41,7 @@ import os, signal, sys, time
 from pathlib import Path
 import numpy as np
 from fovconn_env.baselines import Policy
-HERE, PIPE = Path({here!r}), []
+HERE, PIPE, CALLS = Path({here!r}), [], []
 class Mine(Policy):
     '''Mine.'''
     steps = 0
@@ -54,6 +54,11 @@ class Mine(Policy):
 TELLS = """if self.steps == 3 and not PIPE:
             PIPE.append(open(HERE / "pipe", "w", buffering=1))
             print(os.getpid(), file=PIPE[0])"""
+# From its second block of at most 30 steps on: however fast the machine is, it is told to end while it flies.
+SLOW = """
+        CALLS.append(1)
+        if len(CALLS) > 45:
+            time.sleep(0.5)"""
 
 
 def mine(folder, code):
@@ -74,7 +79,7 @@ def no_parts(folder):
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_no_process_outlives_the_command(tmp_path, number):
     """As `timeout` ends it, which tells the whole group, and kill -9. The same command then has less to do."""
-    cell = mine(tmp_path, TELLS)
+    cell = mine(tmp_path, TELLS + SLOW)
     os.mkfifo(tmp_path / "pipe")
     words = [sys.executable, "-m", "fovconn_env.training.cli", "eval", "--policy", cell.policy, "--seeds", "0-4095"]
     words += ["--processes", "2", "--out", "out"]
