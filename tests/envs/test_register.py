@@ -176,6 +176,12 @@ def test_commands_take_a_plugin_by_name_alone(plugin):
     assert "--plugin must be a module that is found from here" in refused.stderr.replace("\n", " ")
 
 
+def test_robots_of_a_fleet_load_its_plugins(plugin):
+    done = run(plugin, "fleet", "Mine-v0", "--policy", "follow", "--plugin", "mine", "--set", "warmup=0.1")
+    assert done.returncode == 0, done.stderr
+    assert "outcome: late" in done.stdout
+
+
 def test_finished_episodes_are_those_of_this_code(plugin):
     from fovconn_env.training.evaluation.shelf import Cell, fingerprint
 
