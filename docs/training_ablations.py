@@ -40,7 +40,6 @@ class Variant(NamedTuple):
 
     about: str
     network: Mapping[str, Any] = {}
-    settings: Mapping[str, Any] = {}
     tasks: Callable[[list[Task]], list[Task]] = list
     trainer: str = "dagger"
     start: str | None = None  # the variant that it goes on from, of the same seed
@@ -83,7 +82,7 @@ def run(name: str, seed: int, steps: int, flights: int, folder: Path) -> dict[st
     common: Mapping[str, Any] = MAPPO
     if variant.trainer == "dagger":
         common, arguments = DAGGER, arguments | {"teachers": [task.teacher for task in tasks]}
-    settings = trainer.find(trainer.settings)(**{**common, **variant.settings})
+    settings = trainer.find(trainer.settings)(**common)
     network, flown = Network(**{**NETWORK, **variant.network}), tuple(task.scenario for task in tasks)
     algorithm = Training(variant.trainer, flown, seed, settings, network, 1, arguments).make()
     place = policy(name, seed, folder).parent
