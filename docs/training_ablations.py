@@ -75,7 +75,7 @@ def run(name: str, seed: int, steps: int, flights: int, folder: Path) -> dict[st
     from fovconn_env.training.learn.trainings import TRAINERS, Training
 
     variant = VARIANTS[name]
-    tasks = variant.tasks(read_tasks([f"@{ROOT / 'docs' / 'generalist_last.txt'}"], None))
+    tasks = variant.tasks(read_tasks([f"@{ROOT / 'docs' / 'generalist_3.txt'}"], None))
     trainer = TRAINERS[variant.trainer]
     start = policy(variant.start, seed, folder) if variant.start else None
     arguments: dict[str, Any] = {"start": start}

@@ -62,7 +62,7 @@ def test_every_variant_trains_and_is_flown(script, small, tmp_path, monkeypatch)
 
 
 def test_what_a_variant_changes(script):
-    tasks = script.read_tasks([f"@{ROOT / 'docs' / 'generalist_last.txt'}"], None)
+    tasks = script.read_tasks([f"@{ROOT / 'docs' / 'generalist_3.txt'}"], None)
     assert not [task for task in script.by_eye(tasks) if task.teacher.startswith("informed")]
     gone = [task.scenario.name for task in tasks if task not in script.without(tasks)]
     assert set(gone) == {"Corridor-v0", "NarrowCamera-v0", "LossyRadio-v0", "HardGap-v1", "HardRadio-v1"}
