@@ -125,6 +125,8 @@ def test_a_start_flies_from_the_first_step(tmp_path):
     assert "start" not in first.recipe()
     with pytest.raises(SettingError, match="must be the checkpoint's"):
         check_recipe(learner.recipe(), second.recipe())
+    with pytest.raises(SettingError, match=r"start must be the checkpoint's .*, got None"):
+        check_recipe(learner.recipe(), {name: value for name, value in learner.recipe().items() if name != "start"})
 
 
 def test_cameras_as_they_are_are_learned_with_by_what_has_a_name():
@@ -192,10 +194,11 @@ def test_success_is_that_of_the_scenario_that_was_flown():
     ({"teachers": ["oracle-planner"] * 4}, "teacher must be a policy without a memory, got 'oracle-planner'"),
     ({"teachers": ["informed:adaptive"] * 4}, "informed: must be followed by a policy without a memory, got 'adap"),
     ({"weights": [1, 1]}, "weights must be 4 numbers, one a scenario"),
+    ({"settings": DaggerSettings(n_worlds=4, capacity=11)}, "capacity must be at least 13, the robots of a step"),
 ])  # fmt: skip
 def test_what_cannot_be_taught(options, message):
     with pytest.raises(SettingError, match=message):
-        Dagger(TASKS, 0, DaggerSettings(n_worlds=4), SMALL, **options)
+        Dagger(TASKS, 0, network=SMALL, **{"settings": DaggerSettings(n_worlds=4), **options})
 
 
 def test_a_resume_with_other_weights_or_teachers(tmp_path):
@@ -205,6 +208,7 @@ def test_a_resume_with_other_weights_or_teachers(tmp_path):
     for drawn, names, message in (
         ([1, 1, 1, 1], teachers, r"weights\[1\] must be the checkpoint's \(2.0\), got 1.0"),
         (WEIGHTS, ["cohesive"] * 4, r"teachers\[1\] must be the checkpoint's \('springs'\), got 'cohesive'"),
+        (WEIGHTS, [], r"teachers must be the checkpoint's \(\['.*springs.*'\]\), got None"),
     ):
         other = Dagger(TASKS, 3, settings, SMALL, weights=drawn, teachers=names, n_threads=1)
         with pytest.raises(SettingError, match=message):

@@ -20,6 +20,7 @@ from fovconn_env.training.evaluation.campaign import fly_cells
 from fovconn_env.training.evaluation.flights import Reused, reuse_line
 from fovconn_env.training.evaluation.provenance import Reads, changed, merge, packages, sources, torn
 from fovconn_env.training.evaluation.shelf import EVALUATION, Cell, Flown, Shelf, fingerprint
+from fovconn_env.training.evaluation.study import Study, record
 
 TASK = scenario("LeaderFollow-v0", n_agents=3, max_cycles=20, warmup=0.1)
 pytestmark = pytest.mark.usefixtures("warm")
@@ -237,6 +238,8 @@ def test_results_belong_to_what_ran(tmp_path, monkeypatch):
     (again,) = fly_cells(cells, [0, 1], folder=Path("kept"), say=said.append)
     assert again.reused.count == 2
     assert said == [reuse_line([again.reused])]
+    study = Study("learned", range(2), [])
+    assert [record(study, {cells[0]: each}, 1.0).run.get("reused") for each in (first, again)] == [None, said[0]]
     np.testing.assert_array_equal(again.episodes["mean_speed"], first.episodes["mean_speed"])
     monkeypatch.undo()
     monkeypatch.chdir(tmp_path)

@@ -118,6 +118,15 @@ def reuse_line(parts: Iterable[Reused | None]) -> str:
     return f"{count} episode{'s' if count > 1 else ''} reused from {first}{until}"
 
 
+def origin(results: Iterable[Evaluation]) -> dict[str, str]:
+    """Which episodes were not flown now, and which policies are others by now, for a record's `run`."""
+    results = list(results)
+    reused = reuse_line(each.reused for each in results)
+    changed = dict.fromkeys(f"{name}, of {each.policy}" for each in results for name in each.changed)
+    about = {"reused": reused, "changed since it was flown": "; ".join(changed)}
+    return {name: text for name, text in about.items() if text}
+
+
 def shares_of(episodes: Iterable[str]) -> list[str]:
     """Those of an evaluation's measures that are yes or no: `SHARES`, and ends by own terminations."""
     return [*SHARES, *(name for name in episodes if name.startswith(ENDED))]

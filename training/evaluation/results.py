@@ -14,7 +14,7 @@ from fovconn_env.files import write_files
 from fovconn_env.scenarios.serialize import scenario_to_json
 from fovconn_env.training.evaluation.comparison import Comparison, compare
 from fovconn_env.training.evaluation.draft import Draft, can_draw
-from fovconn_env.training.evaluation.flights import Evaluation, label, reuse_line
+from fovconn_env.training.evaluation.flights import Evaluation, label, origin
 from fovconn_env.training.evaluation.marl_eval import to_marl_eval
 from fovconn_env.training.evaluation.provenance import digest, seen_from_here, sources
 from fovconn_env.training.evaluation.record import Record, about, json_text, run_block, to_json
@@ -45,8 +45,8 @@ def publish(
     compared, drawn = draft.parts() if draft is not None else ({}, {})
     comparison = compare(results, settings, compared)
     kinds = {label(policy): about(policy) for policy in policies}
-    origin = _origin(results)
-    record = record_of(comparison, kinds)._replace(run=run_block(seconds) | origin)
+    told = origin(results)
+    record = record_of(comparison, kinds)._replace(run=run_block(seconds) | told)
     texts = {
         folder / "results.json": json_text(to_json(record)),
         folder / "marl-eval.json": json_text(to_marl_eval(results)),
@@ -55,18 +55,10 @@ def publish(
     if can_draw():
         from fovconn_env.training.evaluation.report import make_report
 
-        report, pictures = make_report(comparison, record, folder, _head(record, settings, policies) | origin, drawn)
+        report, pictures = make_report(comparison, record, folder, _head(record, settings, policies) | told, drawn)
         texts |= report
     write_files({file: text.encode() for file, text in texts.items()})
     return Published(record, [*texts, *pictures])
-
-
-def _origin(results: Sequence[Evaluation]) -> dict[str, str]:
-    """Which episodes were not flown now, and which policies are others by now."""
-    reused = reuse_line(each.reused for each in results)
-    changed = dict.fromkeys(f"{name}, of {each.policy}" for each in results for name in each.changed)
-    about = {"reused": reused, "changed since it was flown": "; ".join(changed)}
-    return {name: text for name, text in about.items() if text}
 
 
 def record_of(comparison: Comparison, policies: Mapping[str, Mapping[str, Any]]) -> Record:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from fovconn_env import scenario
 from fovconn_env.training.evaluation.campaign import fly_cells
 from fovconn_env.training.evaluation.comparison import paired
-from fovconn_env.training.evaluation.flights import Evaluation
+from fovconn_env.training.evaluation.flights import Evaluation, origin
 from fovconn_env.training.evaluation.record import Record, about, result_of, run_block
 from fovconn_env.training.evaluation.shelf import Cell
 
@@ -54,4 +54,4 @@ def record(study: Study, flown: Mapping[Cell, Evaluation], seconds: float) -> Re
         against = {other: paired(own, flown[task._replace(policy=other).cell()]) for other in task.against}
         results.append(result_of(own, dict(task.settings))._replace(policy=task.policy, against=against))
     policies = {policy: about(policy) for policy in dict.fromkeys(task.policy for task in study.tasks)}
-    return Record(study.name, list(study.seeds), policies, results, run=run_block(seconds))
+    return Record(study.name, list(study.seeds), policies, results, run=run_block(seconds) | origin(flown.values()))

@@ -86,7 +86,10 @@ class Dagger(Algorithm):
         if start is not None:
             load_weights(self.policy, *load(start)[1:])
         self.teachers = list(teachers) or [s.expert] * len(scenarios)
-        hint = "one a scenario"
+        hint, least = "one a scenario", self.rows.num_envs
+        rule(
+            s.capacity >= least, "capacity", f"at least {least}, the robots of a step", s.capacity, "or fewer n_worlds"
+        )
         rule(len(self.teachers) == len(scenarios), "teachers", f"{len(scenarios)} names", len(self.teachers), hint)
         pairs = zip(self.teachers, scenarios, strict=True)
         self.laws = [teacher(name, scenario) for name, scenario in pairs]

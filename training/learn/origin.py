@@ -31,8 +31,9 @@ def check_recipe(stored: Mapping[str, Any], current: Mapping[str, Any], **groups
         if isinstance(stored.get(name), dict):
             defaults = json.loads(json.dumps(dataclasses.asdict(type(group)())))
             stored = {**stored, name: defaults | stored[name]}
-    for name, value in current.items():
-        check_same(name, stored.get(name), value, "resume with the same command, or train in another --out")
+    hint = "resume with the same command, or train in another --out"
+    for name in dict.fromkeys([*current, *stored]):
+        check_same(name, stored.get(name), current.get(name), hint)
 
 
 def code() -> dict[str, str]:
