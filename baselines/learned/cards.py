@@ -34,8 +34,8 @@ FORMAT = 1
 BASES: dict[str, type[Policy]] = {"expert": Expert, "augmented": Augmented, "cohesive": Cohesive}
 
 
-MAX_CARD = 1 << 20  # bytes; one has some 5000
-MAX_WEIGHTS = 64 << 20  # bytes; those of this repository have 261056 at most
+MAX_CARD = 1 << 20  # bytes; one has some 5000, of many tasks 250,000
+MAX_WEIGHTS = 64 << 20  # bytes; those of this repository have 300,000 at most
 MAX_WIDTH = 4096  # numbers of a layer
 # With these the network's sums stay below 1e37 for scaled observations up to 1000: no NaN comes of finite weights.
 MAX_WEIGHT = 1000.0
