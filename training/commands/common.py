@@ -14,7 +14,6 @@ from typer.core import TyperCommand, TyperGroup
 from fovconn_env.errors import OwnError, policy_code, rule
 from fovconn_env.training.commands import screen
 
-PLUGINS: list[str] = []  # that this command was told to load
 _PANEL = "Options of every command"
 
 
@@ -105,8 +104,6 @@ def load_plugin(name: str) -> None:
     rule(_exists(name), "--plugin", "a module that is found from here", name, "is this its folder, is it installed?")
     with policy_code(f"plugin {name} cannot be loaded:", OwnError):
         module = importlib.import_module(name)
-    if name not in PLUGINS:
-        PLUGINS.append(name)
     screen.remark(f"plugin {name}: {getattr(module, '__file__', None) or 'without a file'}")
 
 

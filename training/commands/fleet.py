@@ -26,7 +26,6 @@ from fovconn_env.flights.log import Logger, save_log
 from fovconn_env.flights.metrics import Meter, compile_ahead
 from fovconn_env.flights.recording import outcome
 from fovconn_env.flights.rollout import Observer, steps
-from fovconn_env.training.commands.common import PLUGINS
 from fovconn_env.training.commands.options import (
     Foxglove,
     FoxgloveAt,
@@ -101,8 +100,8 @@ def command(
     hub = make_hub(transport, endpoint)
     gathering = Gathering(base, hub)
     own = {robot: policy for robot, policy in flown.items() if robot not in free}
-    plugins = [f"--plugin={name}" for name in PLUGINS]
-    program = [sys.executable, "-m", "fovconn_env.training.cli", "robot", *plugins]
+    plugin = [f"--plugin={base.own.plugin}"] if base.own is not None and base.own.id else []
+    program = [sys.executable, "-m", "fovconn_env.training.cli", "robot", *plugin]
     commands = {robot: [*program, robot, "--connect", hub.endpoint, "--policy", own[robot]] for robot in own}
     shown = FoxgloveServer(address or ADDRESS) if live or address is not None else nullcontext()
     with shown as server, Crew(commands, stdout=subprocess.DEVNULL) as crew, _ended(gathering) as world:
